@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,6 +108,53 @@ def test_loops_are_done_alone_where_there_are_no_more_threads() -> None:
         check=False,
     )
     assert (run.returncode, run.stdout.strip()) == (0, "as alone"), run.stderr[-2000:]
+
+
+def test_a_loop_that_runs_out_of_memory_says_so_to_who_began_it(tmp_path: Path) -> None:
+    """From the thread of a helper an exception would end the process."""
+    try:
+        compiler = native_build.find_compiler()
+    except native_build.CompileError as error:
+        pytest.skip(str(error))
+    source, program = tmp_path / "loops.cpp", tmp_path / "loops"
+    source.write_text(SHORT_OF_MEMORY)
+    subprocess.run([*compiler, "-std=c++17", "-pthread", f"-I{native_build.SHARED}", source, "-o", program], check=True)
+    run = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (0, "as it should"), run.stderr
+
+
+SHORT_OF_MEMORY = """
+#include <cstdio>
+#include <vector>
+
+#include "crew.h"
+
+int main() {
+  const auto caller = std::this_thread::get_id();
+  for (int loop = 0; loop < 300; loop++) {
+    for (const bool fails : {true, false}) {
+      std::atomic<bool> thrown{false};
+      std::vector<int> done(40);
+      bool said = false;
+      try {
+        crew::parallel_for(1 + loop % 4, 40, [&](int64_t i) {
+          const bool is_helper = std::this_thread::get_id() != caller;
+          if (fails && (is_helper || (loop % 8 == 0 && i == 30))) thrown = true, throw std::bad_alloc();
+          std::this_thread::yield();
+          done[i]++;
+        });
+      } catch (const std::bad_alloc &) {
+        said = true;
+      }
+      if (said != thrown) return 1;
+      for (const int times : done) {
+        if (times > 1 || (times == 0 && !thrown)) return 2;
+      }
+    }
+  }
+  std::printf("as it should");
+}
+"""
 
 
 WITHOUT_THREADS = """

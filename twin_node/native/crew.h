@@ -10,9 +10,10 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <exception>
 #include <limits>
 #include <mutex>
-#include <system_error>
+#include <new>
 #include <thread>
 
 namespace crew {
@@ -100,13 +101,13 @@ class Crew {
     alone_ = waited > worked + kSlack ? doubt_ : 0;
   }
 
-  // No more where the system has no more threads to give: who is there does it all.
+  // No more where the system has no more threads or memory to give: who is there does it all.
   void hire(int wanted) {
     try {
       for (; hired_ < std::min(wanted, most_hired_); hired_++) {
         std::thread([this, part = hired_ + 1] { serve(part); }).detach();
       }
-    } catch (const std::system_error &) {
+    } catch (const std::exception &) {
       most_hired_ = hired_;
     }
   }
@@ -172,7 +173,7 @@ inline Crew &helpers() {
 
 // Runs task(0) ... task(count - 1), fewer than 2^32, on up to `threads` threads. Loops over the same things in the same
 // order give a thread the same part of them every time: what another core wrote last is dear to read. Whoever is done
-// helps the others.
+// helps the others. Throws `std::bad_alloc` where a task does; some of the others are then left undone.
 template <class Task>
 inline void parallel_for(int threads, int64_t count, const Task &task) {
   constexpr int kMostShares = 64;
@@ -181,18 +182,26 @@ inline void parallel_for(int threads, int64_t count, const Task &task) {
     const Task &task;
     int shares;
     Share share[kMostShares];
+    std::atomic<bool> is_short_of_memory{false};
     void work(int own) {
-      for (int k = 0; k < shares; k++) {
-        for (int64_t i; (i = share[(own + k) % shares].take(k == 0)) >= 0;) task(i);
+      try {
+        for (int k = 0; k < shares; k++) {
+          for (int64_t i; (i = share[(own + k) % shares].take(k == 0)) >= 0;) task(i);
+        }
+      } catch (const std::bad_alloc &) {  // thrown from a helper it would end the process
+        is_short_of_memory.store(true, std::memory_order_relaxed);
       }
     }
   };
   if (shares > 1) {
-    Loop loop{task, shares, {}};
+    Loop loop{task, shares};
     for (int i = 0; i < shares; i++) loop.share[i].set(count * i / shares, count * (i + 1) / shares);
     const Crew::Job job{
         [](const void *context, int own) { static_cast<Loop *>(const_cast<void *>(context))->work(own); }, &loop};
-    if (helpers().run(job, shares)) return;
+    if (helpers().run(job, shares)) {
+      if (loop.is_short_of_memory.load(std::memory_order_relaxed)) throw std::bad_alloc();
+      return;
+    }
   }
   for (int64_t i = 0; i < count; i++) task(i);
 }

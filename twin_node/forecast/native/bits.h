@@ -7,6 +7,7 @@
 #include <cstring>
 #include <vector>
 
+#include "../../native/boundary.h"
 #include "../../native/crew.h"
 #include "interface.h"
 
@@ -143,14 +144,14 @@ inline Bits halved(const Bits &b, int64_t nz) {
   return out;
 }
 
-inline Status pack(const PackRequest &r) {
+inline int32_t pack(const PackRequest &r) {
   const int64_t size = static_cast<int64_t>(r.nx) * r.ny * r.nz, words = words_of(r.nz);
   for (int64_t i = 0; i < r.voxels; i++) {
     if (r.indices[i] < 0 || r.indices[i] >= size) return kOutside;
     const int64_t column = r.indices[i] / r.nz, z = r.indices[i] % r.nz;
     r.words[column * words + z / 64] |= uint64_t{1} << z % 64;
   }
-  return kOk;
+  return boundary::kOk;
 }
 
 inline int64_t tally(const TallyRequest &r) {

@@ -7,7 +7,6 @@
 
 #include "../../native/crew.h"
 #include "bits.h"
-#include "each.h"
 #include "interface.h"
 #include "overview.h"
 
@@ -270,7 +269,7 @@ inline void conceal(const ConcealRequest &r) {
 inline void carve(const CarveRequest &r) {
   std::vector<std::vector<int32_t>> flags(r.views);  // words are gathered many at a time, bytes are not
   std::vector<std::unique_ptr<Overview>> overviews(r.views);
-  for_each_in_parallel(r.threads, r.views, [&](int64_t v) {
+  crew::parallel_for(r.threads, r.views, [&](int64_t v) {
     flags[v].assign(r.sights[v].flags, r.sights[v].flags + r.sights[v].size);
     overviews[v] = std::make_unique<Overview>(r.sights[v]);
   });

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "bits.h"
-#include "each.h"
 #include "interface.h"
 
 namespace forecast {
@@ -240,7 +239,7 @@ inline int64_t count_planes(const GrowRequest &r, int64_t layer) {
 inline void grow(const GrowRequest &r) {
   const int64_t size = static_cast<int64_t>(r.nx) * r.ny * words_of(r.nz);
   std::vector<std::vector<Task>> layers(r.layers);
-  for_each_in_parallel(r.threads, r.layers, [&](int64_t layer) {
+  crew::parallel_for(r.threads, r.layers, [&](int64_t layer) {
     layers[layer] = layer_tasks(r, static_cast<int>(layer));
     clear_planes(r, static_cast<int>(layer), layers[layer]);
   });
@@ -250,7 +249,7 @@ inline void grow(const GrowRequest &r) {
   }
   std::stable_sort(tasks.begin(), tasks.end(), [](const Task *a, const Task *b) { return a->cost > b->cost; });
   std::vector<std::mutex> writing(r.layers);
-  for_each_in_parallel(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
+  crew::parallel_for(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
     const Task &task = *tasks[i];
     const Union balls(r, task);
     const std::lock_guard<std::mutex> lock(writing[task.layer]);

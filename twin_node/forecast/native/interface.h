@@ -10,6 +10,6 @@ namespace forecast {
 
 constexpr int32_t kInterfaceVersion = 32;
 
-enum Status : int32_t { kOk = 0, kOutOfMemory = 1, kOutside = 2 };
+constexpr int32_t kOutside = 2;  // beside `boundary::Status`
 
 }  // namespace forecast

@@ -1,12 +1,10 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
-#include <new>
-
+#include "../../native/boundary.h"
 #include "ahead.h"
 #include "backdrop.h"
 #include "bits.h"
 #include "carve.h"
 #include "cover.h"
-#include "each.h"
 #include "grow.h"
 #include "hide.h"
 #include "lead.h"
@@ -26,19 +24,8 @@
 #include "surface.h"
 #include "things.h"
 
-namespace {
-
-template <class Work>
-int32_t guarded(const Work &work) {
-  try {
-    work();
-    return forecast::kOk;
-  } catch (const std::bad_alloc &) {
-    return forecast::kOutOfMemory;
-  }
-}
-
-}  // namespace
+using boundary::guarded;
+using crew::parallel_for;
 
 #pragma GCC visibility push(default)
 extern "C" {
@@ -100,15 +87,15 @@ int32_t forecast_gather(const forecast::GatherRequest *request) {
 }
 
 int32_t forecast_see(const forecast::SeeRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::see(views[i]); }); });
+  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::see(views[i]); }); });
 }
 
 int32_t forecast_show(const forecast::ShowRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::show(views[i]); }); });
+  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::show(views[i]); }); });
 }
 
 int32_t forecast_tell(const forecast::TellRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { forecast::for_each_in_parallel(threads, count, [&](int64_t i) { forecast::tell(views[i]); }); });
+  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::tell(views[i]); }); });
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }

@@ -2,9 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <atomic>
 #include <cstdint>
-#include <new>
 #include <vector>
 
 #include "../../native/crew.h"
@@ -198,15 +196,7 @@ class Look {
 };
 
 inline void look(const LookRequest &r) {
-  std::atomic<bool> short_of_memory{false};
-  crew::parallel_for(r.threads, r.views, [&](int64_t view) {
-    try {
-      Look(r, r.looks[view]).write();
-    } catch (const std::bad_alloc &) {
-      short_of_memory = true;
-    }
-  });
-  if (short_of_memory) throw std::bad_alloc();
+  crew::parallel_for(r.threads, r.views, [&](int64_t view) { Look(r, r.looks[view]).write(); });
 }
 
 }  // namespace forecast

@@ -11,7 +11,7 @@ namespace model {
 
 constexpr int64_t kGaussiansPerTask = 256;
 
-inline int tasks_of(int64_t count) { return static_cast<int>((count + kGaussiansPerTask - 1) / kGaussiansPerTask); }
+inline int64_t tasks_of(int64_t count) { return (count + kGaussiansPerTask - 1) / kGaussiansPerTask; }
 
 // What views say about one STATIC Gaussian.
 struct Verdict {

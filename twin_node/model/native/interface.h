@@ -9,8 +9,6 @@ namespace model {
 
 constexpr int32_t kInterfaceVersion = 22;
 
-enum Status : int32_t { kOk = 0, kOutOfMemory = 1 };
-
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
   double change_sigmas, change_levels, settle_ns, smallest_area, shadow_darkest, reflection_brightest;

@@ -1,7 +1,5 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
-#include <atomic>
-#include <new>
-
+#include "../../native/boundary.h"
 #include "../../native/crew.h"
 #include "backdrop.h"
 #include "births.h"
@@ -28,16 +26,8 @@ namespace {
 
 // Runs task(0) ... task(count - 1) on up to `threads` threads.
 template <class Task>
-int32_t side_by_side(int threads, int count, const Task &task) {
-  std::atomic<int32_t> status{model::kOk};
-  crew::parallel_for(threads, count, [&](int64_t i) {
-    try {
-      task(static_cast<int>(i));
-    } catch (const std::bad_alloc &) {
-      status = model::kOutOfMemory;
-    }
-  });
-  return status;
+int32_t side_by_side(int threads, int64_t count, const Task &task) {
+  return boundary::guarded([&] { crew::parallel_for(threads, count, task); });
 }
 
 }  // namespace
@@ -48,7 +38,8 @@ extern "C" {
 int32_t model_interface_version() { return model::kInterfaceVersion; }
 
 int32_t model_mask(const model::MaskRequests *requests) {
-  return side_by_side(requests->threads, requests->count, [&](int i) { model::MaskUpdate(requests->cameras[i]).run(); });
+  return side_by_side(requests->threads, requests->count,
+                      [&](int64_t i) { model::MaskUpdate(requests->cameras[i]).run(); });
 }
 
 void model_advance(const model::AdvanceRequest *request) { model::advance(*request); }
@@ -73,11 +64,11 @@ void model_publish(const model::PublishRequest *request) {
 void model_extents(const model::ExtentRequest *request) { model::find_extents(*request); }
 
 int32_t model_creep(const model::CreepRequest *request) {
-  return side_by_side(1, 1, [&](int) { model::find_creep(*request); });
+  return boundary::guarded([&] { model::find_creep(*request); });
 }
 
 int32_t model_cells(const model::CellRequest *request) {
-  return side_by_side(1, 1, [&](int) { model::find_cells(*request); });
+  return boundary::guarded([&] { model::find_cells(*request); });
 }
 
 void model_judge_velocities(const model::JudgeRequest *request) { model::judge_velocities(*request); }
@@ -94,11 +85,11 @@ void model_add_up(const model::SumRequest *request) { model::add_up(*request); }
 
 int32_t model_observe(const model::ObserveRequest *request) {
   return side_by_side(request->threads, request->count,
-                      [&](int i) { model::observe(*request->rules, request->views[i]); });
+                      [&](int64_t i) { model::observe(*request->rules, request->views[i]); });
 }
 
 int32_t model_ratios(const model::RatioRequest *request) {
-  return side_by_side(1, 1, [&](int) { model::find_ratios(*request); });
+  return boundary::guarded([&] { model::find_ratios(*request); });
 }
 
 void model_put_before(const model::BackdropRequest *request) { model::put_before(*request); }
@@ -106,41 +97,43 @@ void model_put_before(const model::BackdropRequest *request) { model::put_before
 void model_remember(const model::RestRequest *request) { model::remember(*request); }
 
 int32_t model_occluders(const model::OccluderRequest *request) {
-  return side_by_side(1, 1, [&](int) { model::find_occluders(*request); });
+  return boundary::guarded([&] { model::find_occluders(*request); });
 }
 
 int32_t model_held(const model::HeldRequest *request) {
-  return side_by_side(request->threads, request->count, [&](int i) { model::hold(*request, request->views[i]); });
+  return side_by_side(request->threads, request->count, [&](int64_t i) { model::hold(*request, request->views[i]); });
 }
 
 int32_t model_refute(const model::RefutedRequest *request) {
-  return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::refute(*request, i); });
+  return side_by_side(request->threads, model::tasks_of(request->count),
+                      [&](int64_t i) { model::refute(*request, i); });
 }
 
 int32_t model_judge(const model::StaticRequest *request) {
-  return side_by_side(request->threads, model::tasks_of(request->count), [&](int i) { model::judge(*request, i); });
+  return side_by_side(request->threads, model::tasks_of(request->count),
+                      [&](int64_t i) { model::judge(*request, i); });
 }
 
 int32_t model_compare(const model::CompareRequest *request) {
-  return side_by_side(request->threads, static_cast<int>(request->pixels),
-                      [&](int i) { model::compare(*request, i); });
+  return side_by_side(request->threads, request->pixels, [&](int64_t i) { model::compare(*request, i); });
 }
 
 int32_t model_smooth(const model::SmoothRequest *request) {
-  const int32_t status = side_by_side(request->threads, model::kPathPairs, [&](int i) {
+  const int32_t status = side_by_side(request->threads, model::kPathPairs, [&](int64_t i) {
     model::PathSums(*request, model::kPaths[i], request->pairs + i * model::entries(*request)).run();
   });
-  if (status == model::kOk) model::add_pairs(*request);
+  if (status == boundary::kOk) model::add_pairs(*request);
   return status;
 }
 
 int32_t model_flow(const model::FlowRequest *request) {
   return side_by_side(request->threads, request->count,
-                      [&](int i) { model::find_flow(*request->rules, request->views[i]); });
+                      [&](int64_t i) { model::find_flow(*request->rules, request->views[i]); });
 }
 
 int32_t model_births(const model::BirthRequest *request) {
-  return side_by_side(request->threads, request->count, [&](int i) { model::ViewBirths(*request, i).run(); });
+  return side_by_side(request->threads, request->count,
+                      [&](int64_t i) { model::ViewBirths(*request, static_cast<int>(i)).run(); });
 }
 }
 #pragma GCC visibility pop

@@ -8,8 +8,7 @@ namespace splat {
 constexpr int32_t kInterfaceVersion = 13;
 
 enum Status : int32_t {
-  kOk = 0,
-  kOutOfMemory = 1,
+  kOk = 0,  // 1: `boundary::kOutOfMemory`
   kTooManyIntersections = 2,
   kBadFocalLength = 3,
   kSingularView = 4,

@@ -1,25 +1,19 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
 #include <omp.h>
 
+#include "../../native/boundary.h"
 #include "descent.h"
 #include "miss.h"
 #include "place.h"
 #include "weigh.h"
+
+using boundary::guarded;
 
 namespace {
 
 splat::Pool<splat::Workspace> &workspaces() {
   static splat::Pool<splat::Workspace> pool;
   return pool;
-}
-
-template <class Work>
-int32_t guarded(const Work &work) {
-  try {
-    return work();
-  } catch (const std::bad_alloc &) {
-    return splat::kOutOfMemory;
-  }
 }
 
 splat::Status check_cameras(const splat::Request &r) {

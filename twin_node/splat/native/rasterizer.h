@@ -180,13 +180,7 @@ inline void over_splats(int threads, const Request &r, const Workspace &w, const
 template <class Step>
 inline Status in_each_image(int threads, const Request &r, const Workspace &w, const Step &step) {
   std::vector<Status> status(images_of(r), kOk);
-  parallel_for(threads, images_of(r), [&](int64_t i) {
-    try {
-      status[i] = step(*w.images[i]);
-    } catch (const std::bad_alloc &) {
-      status[i] = kOutOfMemory;
-    }
-  });
+  parallel_for(threads, images_of(r), [&](int64_t i) { status[i] = step(*w.images[i]); });
   return *std::max_element(status.begin(), status.end());
 }
 

@@ -57,6 +57,7 @@ class Buffer {
 template <class Workspace>
 class Pool {
  public:
+  Pool() { idle_.reserve(kKept); }  // giving back takes no memory
   Workspace *acquire() {
     std::lock_guard<std::mutex> lock(mutex_);
     if (idle_.empty()) return new Workspace();
