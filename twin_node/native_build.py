@@ -131,7 +131,8 @@ class KernelSources(NamedTuple):
         """Path of the library in the user's cache, compiled now if it is not there yet; `anew`: even if it is.
 
         Safe when several processes do it at once: each compiles to a file of its own and moves it into place. Where
-        the cache cannot be written, and does not hold it, it is compiled for this process alone, with one warning.
+        the cache cannot be written, and does not hold it, or where others can write it too, it is compiled for this
+        process alone, with one warning.
         Raises `CompileError`.
         """
         compiler = find_compiler()
@@ -184,11 +185,17 @@ def _flush(path: Path) -> None:
 
 
 def _cache_folder() -> Path | None:
-    """A folder of this user's alone, as a shared one would let another user plant a library; None: there is none."""
+    """A folder that this user alone may write to, as another could plant a library in a shared one; None: there is none.
+
+    As that specification asks, `$XDG_CACHE_HOME` counts only if it is absolute.
+    """
     try:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folder = root / "twin_node"
+        asked = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        folder = (asked if asked.is_absolute() else Path.home() / ".cache") / "twin_node"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
+        if found.st_uid not in (os.getuid(), 0) or found.st_mode & 0o022:
+            return None
     except (OSError, RuntimeError):  # the latter where the user has no home
         return None
     return folder
@@ -208,8 +215,9 @@ def _own_folder() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="twin_node-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     warnings.warn(
-        "the folder for compiled kernels cannot be written: every process compiles them anew; set XDG_CACHE_HOME to a "
-        "folder of yours",
+        "the folder for compiled kernels (twin_node in $XDG_CACHE_HOME, else in ~/.cache) cannot be written, or not by "
+        "you alone: every process compiles them anew; set XDG_CACHE_HOME to a folder of yours, or take others' right "
+        "to write from that one",
         stacklevel=4,
     )
     return folder

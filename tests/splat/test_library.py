@@ -134,6 +134,24 @@ def test_a_cache_that_cannot_be_written_is_replaced(tiny: KernelSources, monkeyp
     assert tiny.cached_library("x86-64-v2").parent == library.parent, "one folder for all of a process"
 
 
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o1777])
+def test_nothing_is_loaded_from_a_cache_that_others_may_write_to(tiny: KernelSources, mode: int):
+    """Between a look at who owns a library and its loading they could put another one there."""
+    shared = tiny.cached_library("baseline").parent
+    shared.chmod(mode)
+    with pytest.warns(UserWarning, match="not by you alone: every process compiles them anew"):
+        library = tiny.cached_library("baseline")
+    assert library.parent != shared
+    assert library.parent.stat().st_mode & 0o077 == 0
+
+
+def test_a_cache_in_the_working_folder_is_not_looked_for(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
+    monkeypatch.setenv("HOME", str(tiny.folder.parent / "home"))
+    monkeypatch.chdir(tiny.folder.parent)
+    assert tiny.cached_library("baseline").is_relative_to(tiny.folder.parent / "home" / ".cache" / "twin_node")
+
+
 def test_a_cache_that_can_only_be_read_is_read(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
     """As where the kernels were compiled into a container's image that is then mounted read-only."""
     library = tiny.cached_library("baseline")
