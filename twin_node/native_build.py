@@ -185,7 +185,7 @@ def _flush(path: Path) -> None:
 
 
 def _cache_folder() -> Path | None:
-    """A folder that this user alone may write to, as another could plant a library in a shared one; None: there is none.
+    """A folder that this user alone may write to, as another could plant a library in a shared one; None without.
 
     As that specification asks, `$XDG_CACHE_HOME` counts only if it is absolute.
     """

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from ctypes import c_int32, c_int64
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from twin_node import native_build
 from twin_node.forecast.errors import ForecastError
@@ -56,47 +56,40 @@ class Kernels(NativeLibrary):
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
         super().__init__(path)
-        self._dll.forecast_grow.argtypes = [ctypes.POINTER(GrowRequest)]
-        self._dll.forecast_grow_ahead.argtypes = [ctypes.POINTER(AheadRequest)]
-        self._dll.forecast_pack.argtypes = [ctypes.POINTER(PackRequest)]
-        self._dll.forecast_tally.argtypes = [ctypes.POINTER(TallyRequest)]
-        self._dll.forecast_tally.restype = ctypes.c_int64
-        self._dll.forecast_list.argtypes = [ctypes.POINTER(ListRequest)]
-        self._dll.forecast_runs.argtypes = [ctypes.POINTER(RunsRequest)]
-        self._dll.forecast_runs.restype = None
-        self._dll.forecast_look.argtypes = [ctypes.POINTER(LookRequest)]
-        self._dll.forecast_revise.argtypes = [ctypes.POINTER(ReviseRequest)]
-        self._dll.forecast_revise.restype = None
-        self._dll.forecast_conceal.argtypes = [ctypes.POINTER(ConcealRequest)]
-        self._dll.forecast_conceal.restype = None
-        self._dll.forecast_carve.argtypes = [ctypes.POINTER(CarveRequest)]
-        self._dll.forecast_cover.argtypes = [ctypes.POINTER(CoverRequest)]
-        self._dll.forecast_hide.argtypes = [ctypes.POINTER(HideRequest)]
-        self._dll.forecast_mark.argtypes = [ctypes.POINTER(MarkRequest)]
-        self._dll.forecast_split.argtypes = [ctypes.POINTER(SplitRequest)]
-        self._dll.forecast_link.argtypes = [ctypes.POINTER(LinkRequest)]
-        self._dll.forecast_gather.argtypes = [ctypes.POINTER(GatherRequest)]
-        self._dll.forecast_see.argtypes = _some(SeeRequest)
-        self._dll.forecast_show.argtypes = _some(ShowRequest)
-        self._dll.forecast_tell.argtypes = _some(TellRequest)
-        self._dll.forecast_solve.argtypes = [ctypes.POINTER(SolveRequest)]
-        self._dll.forecast_solve.restype = None
-        self._dll.forecast_lead.argtypes = [ctypes.POINTER(LeadRequest)]
-        self._dll.forecast_lead.restype = None
-        self._dll.forecast_outlook.argtypes = [ctypes.POINTER(OutlookRequest)]
-        self._dll.forecast_reckon.argtypes = [ctypes.POINTER(ReckonRequest)]
-        self._dll.forecast_reckon.restype = None
-        self._dll.forecast_reach.argtypes = [ctypes.POINTER(ReachRequest)]
-        self._dll.forecast_reach.restype = None
-        self._dll.forecast_regress.argtypes = [ctypes.POINTER(RegressRequest)]
-        self._dll.forecast_find_quantile.argtypes = [ctypes.POINTER(QuantileRequest)]
-        self._dll.forecast_find_quantile.restype = ctypes.c_int64
-        self._dll.forecast_rest.argtypes = [ctypes.POINTER(RestRequest)]
-        self._dll.forecast_rest.restype = None
-        self._dll.forecast_nearest.argtypes = [ctypes.POINTER(NearestRequest)]
-        self._dll.forecast_surface.argtypes = [ctypes.POINTER(SurfaceRequest)]
-        self._dll.forecast_take.argtypes = [ctypes.POINTER(TakeRequest)]
-        self._dll.forecast_take.restype = None
+        self._declare(
+            c_int32,  # not 0: there was no memory; of `pack`, a voxel was not in the grid
+            grow=GrowRequest,
+            grow_ahead=AheadRequest,
+            pack=PackRequest,
+            list=ListRequest,
+            look=LookRequest,
+            carve=CarveRequest,
+            cover=CoverRequest,
+            hide=HideRequest,
+            mark=MarkRequest,
+            split=SplitRequest,
+            link=LinkRequest,
+            gather=GatherRequest,
+            outlook=OutlookRequest,
+            regress=RegressRequest,
+            nearest=NearestRequest,
+            surface=SurfaceRequest,
+        )
+        self._declare(c_int64, tally=TallyRequest, find_quantile=QuantileRequest)
+        self._declare(
+            None,
+            runs=RunsRequest,
+            revise=ReviseRequest,
+            conceal=ConcealRequest,
+            solve=SolveRequest,
+            lead=LeadRequest,
+            reckon=ReckonRequest,
+            reach=ReachRequest,
+            rest=RestRequest,
+            take=TakeRequest,
+        )
+        for name, request in (("see", SeeRequest), ("show", ShowRequest), ("tell", TellRequest)):  # one for each view
+            getattr(self._dll, f"forecast_{name}").argtypes = [ctypes.POINTER(request), c_int64, c_int32]
 
     def grow(self, request: GrowRequest) -> None:
         """Unites balls about moved voxels, layer by layer. Raises `MemoryError`."""
@@ -228,11 +221,6 @@ class Kernels(NativeLibrary):
     def take(self, request: TakeRequest) -> None:
         """Marks the voxels within capsules; takes one thread."""
         self._dll.forecast_take(request)
-
-
-def _some(request: type[ctypes.Structure]) -> list[Any]:
-    """Types of an array of requests, their number, and threads."""
-    return [ctypes.POINTER(request), ctypes.c_int64, ctypes.c_int32]
 
 
 def _check(status: int) -> None:

@@ -93,8 +93,8 @@ def bin_of(past: Past, slopes: Float64, share: float) -> int:
     if compiled is None:
         return bin_of_plainly(past, slopes, share)
     sizes, limits = (len(past.logs), _BINS, len(slopes)), (_LOG_RANGE[0], _BIN, past.fresh, share, _SLACK)
-    addresses = addresses_of(past.cues, past.logs, past.weights, np.ascontiguousarray(slopes))
-    return compiled.find_quantile(QuantileRequest(*sizes, *limits, *addresses))
+    given = (past.cues, past.logs, past.weights, np.ascontiguousarray(slopes))  # alive until the call is over
+    return compiled.find_quantile(QuantileRequest(*sizes, *limits, *addresses_of(*given)))
 
 
 def bin_of_plainly(past: Past, slopes: Float64, share: float) -> int:
