@@ -13,9 +13,9 @@ import pytest
 
 from twin_node import native_build
 
-FLAGS = ("-std=c++17", "-O0", "-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-fopenmp")
+FLAGS = ("-std=c++17", "-O0", "-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 """Not optimised: that compiles in a third of the time, and the cases are small. With the lines of what is found."""
-SHARED = ("-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=fast", "-Wno-psabi")
+SHARED = ("-fopenmp-simd", "-pthread", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=fast", "-Wno-psabi")
 
 
 def sanitizer_runtimes(compiler: Sequence[str]) -> list[str]:

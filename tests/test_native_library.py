@@ -70,8 +70,8 @@ def test_threads_are_as_before_when_a_part_of_a_part_is_done() -> None:
 
 
 @pytest.mark.parametrize(("asked", "threads"), [("1", 1), ("100000", len(os.sched_getaffinity(0)))])
-def test_kernels_do_without_torch_and_share_its_openmp_runtime_and_threads(asked: str, threads: int) -> None:
-    """The runtime that is loaded for them is the one that torch then takes, not a second."""
+def test_kernels_do_without_torch_and_openmp_and_take_as_many_threads(asked: str, threads: int) -> None:
+    """A runtime that is loaded for them may be another than the one that torch then takes."""
     run = subprocess.run(
         [sys.executable, "-c", WITHOUT_TORCH],
         env={**os.environ, "OMP_NUM_THREADS": asked},
@@ -79,7 +79,7 @@ def test_kernels_do_without_torch_and_share_its_openmp_runtime_and_threads(asked
         text=True,
         check=True,
     )
-    assert json.loads(run.stdout) == {"loads_torch": False, "threads": [threads] * 2, "runtimes": 1}
+    assert json.loads(run.stdout) == {"loads": [], "threads": [threads] * 2}
 
 
 WITHOUT_TORCH = """
@@ -88,12 +88,12 @@ from twin_node.forecast.kernels import kernels
 from twin_node.native_library import thread_count
 
 kernels()
-loads_torch, threads = "torch" in sys.modules, [thread_count()]
+threads = [thread_count()]
+loads = [name for name in ("libtorch", "libgomp", "libomp") if name in open("/proc/self/maps").read()]
 import torch
 
 threads.append(torch.get_num_threads())
-runtimes = {line.split()[-1] for line in open("/proc/self/maps") if "libgomp" in line}
-print(json.dumps({"loads_torch": loads_torch, "threads": threads, "runtimes": len(runtimes)}))
+print(json.dumps({"loads": loads, "threads": threads}))
 """
 
 

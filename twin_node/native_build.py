@@ -22,10 +22,11 @@ from typing import NamedTuple
 
 FLAGS = (
     *("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast"),
-    *("-fPIC", "-shared", "-fvisibility=hidden", "-fopenmp", "-Wno-psabi"),
+    *("-fPIC", "-shared", "-fvisibility=hidden", "-fopenmp-simd", "-pthread", "-Wno-psabi"),
 )
 """No -ffast-math: infinities and NaN of culled Gaussians must stay what they are. Hidden symbols: variants that
-are loaded side by side would share their tables otherwise."""
+are loaded side by side would share their tables otherwise. Of OpenMP its hints for vectors alone: its runtime, which
+Clang often lacks, would be another than torch's there."""
 
 VARIANTS_X86 = ("x86-64-v4", "x86-64-v3", "x86-64-v2")
 """Instruction sets on x86-64, best first: AVX-512, AVX2 with FMA, SSE4.2."""

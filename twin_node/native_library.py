@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import importlib.util
 import os
 import sys
 import threading
@@ -36,7 +35,6 @@ class NativeLibrary:
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
-        _load_openmp()
         self._dll = ctypes.CDLL(str(path))
         version = self._dll[f"{self.KERNELS.name}_interface_version"]()
         if version != self.VERSION:
@@ -57,19 +55,9 @@ class NativeLibrary:
         """Raises the room's error in a child that was forked after the library had been loaded."""
         if self._forked:
             raise self.ERROR(
-                f"{self.KERNELS.name}: called in a process forked from one that had loaded its kernels, where OpenMP "
-                "would hang; start the process with the `spawn` method instead"
+                f"{self.KERNELS.name}: called in a process forked from one that had loaded its kernels, where it would "
+                "hang for want of their threads; start the process with the `spawn` method instead"
             )
-
-
-@cache
-def _load_openmp() -> None:
-    """Loads the OpenMP runtime that torch brings, if it brings one: kernels and torch share it, whoever comes first."""
-    torch = importlib.util.find_spec("torch")
-    for folder in (torch and torch.submodule_search_locations) or ():
-        for runtime in sorted(Path(folder, "lib").glob("libgomp*.so*")):
-            with contextlib.suppress(OSError):  # then the system's is taken
-                ctypes.CDLL(str(runtime), mode=ctypes.RTLD_GLOBAL)
 
 
 _told = threading.local()

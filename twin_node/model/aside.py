@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from twin_node.native_library import kernel_threads, thread_count
-from twin_node.splat.library import kernels
+from twin_node.splat.library import kernels, limit_torch
 
 Result = TypeVar("Result")
 
@@ -60,9 +60,8 @@ def _itself(result: Result) -> Result:
 
 
 def _keep_torch_alone() -> None:
-    library = kernels()
-    if library is not None:
-        library.limit_openmp(1)
+    if kernels() is not None:
+        limit_torch(1)
 
 
 def _alone(work: Callable[[], Result]) -> Result:

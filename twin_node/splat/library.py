@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes import c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -141,8 +141,6 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
         self._dll.splat_add_missed.argtypes = [c_void_p, ctypes.POINTER(MissRequest)]
         self._dll.splat_weigh.argtypes = [c_void_p, ctypes.POINTER(Request), c_void_p]
-        self._dll.splat_limit_openmp.argtypes = [c_int32]
-        self._dll.splat_limit_openmp.restype = None
         self._declare(c_int32, image_loss=LossRequest)
         self._declare(None, place=PlaceRequest)
 
@@ -194,10 +192,6 @@ class SplatLibrary(NativeLibrary):
         self._require_not_forked()
         self._dll.splat_place(request)
 
-    def limit_openmp(self, threads: int) -> None:
-        """How many threads the loops of torch take that the calling thread begins."""
-        self._dll.splat_limit_openmp(threads)
-
 
 def _check(status: int) -> None:
     if status == STATUS_OK:
@@ -236,13 +230,22 @@ def torch_alone() -> Iterator[None]:
     Over images of some ten thousand pixels a loop of torch's is done before the second thread has woken up, and then
     waits for it: a set took half as long again.
     """
-    library, threads = kernels(), thread_count()
-    if library is None or is_told():
+    threads = thread_count()
+    if kernels() is None or is_told():
         yield
         return
-    library.limit_openmp(1)
+    limit_torch(1)
     try:
         with kernel_threads(threads):
             yield
     finally:
-        library.limit_openmp(threads)
+        limit_torch(threads)
+
+
+def limit_torch(threads: int) -> None:
+    """How many threads the loops of torch take from now on that the calling thread begins.
+
+    `torch.set_num_threads` says it for all threads at once. Nothing where torch does not run on OpenMP.
+    """
+    with suppress(AttributeError):
+        ctypes.CDLL(None).omp_set_num_threads(threads)  # torch shows its runtime to the whole process

@@ -1,6 +1,4 @@
 // The plain C interface. Nothing throws across it: functions return a Status.
-#include <omp.h>
-
 #include "../../native/boundary.h"
 #include "descent.h"
 #include "miss.h"
@@ -53,9 +51,6 @@ int32_t splat_forward(void *workspace, const splat::Request *request) {
 int32_t splat_backward(void *workspace, const splat::Request *request, const splat::Gradients *gradients) {
   return guarded([&] { return splat::backward(*static_cast<splat::Workspace *>(workspace), *request, *gradients); });
 }
-
-// Threads of the loops that this thread begins by itself in the OpenMP runtime, which is torch's too.
-void splat_limit_openmp(int32_t threads) { omp_set_num_threads(threads); }
 
 void splat_place(const splat::PlaceRequest *request) { splat::place(*request); }
 
