@@ -165,7 +165,7 @@ struct CoverRequest {
 
 // What may be hidden in unknown space, one state after the other.
 struct HideRequest {
-  int32_t nx, ny, nz, width;                     // voxels across a hand, below 64
+  int32_t nx, ny, nz, width;                     // voxels across a hand, at most 64
   int32_t hop, way, fewest;                      // cells: got on since before; on through ways; that a hand takes up
   float elapsed_s, rest_s, never;                // since before, s; what was reached longer ago lies still, s
   const uint64_t *unknown, *moving, *standing;   // [nx, ny, words]

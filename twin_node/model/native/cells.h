@@ -10,8 +10,6 @@
 
 namespace model {
 
-constexpr int kStoreColumns = 14;  // of a row of values: mean, quat, log scale, logit, colour
-
 // Which of the keys that were asked for before each is: a table with open addresses.
 class KeyTable {
  public:
@@ -41,7 +39,7 @@ inline int64_t key_of(const CellRequest &r, int64_t row) {
   const int64_t half = int64_t{1} << (r.axis_bits - 1);
   int64_t key = r.founders[row];
   for (int k = 0; k < 3; k++) {
-    const float place = std::floor(r.values[kStoreColumns * row + k] / static_cast<float>(r.side));
+    const float place = std::floor(r.values[kColumns * row + k] / static_cast<float>(r.side));
     const int64_t voxel = static_cast<int64_t>(std::min(std::max(place, -1e9f), 1e9f));
     key = key * (int64_t{1} << r.axis_bits) + (std::min(std::max(voxel, -half), half - 1) + half);
   }
@@ -72,7 +70,7 @@ inline void find_cells(const CellRequest &r) {
     counts[c]++;
     for (int k = 0; k < 3; k++) {
       r.centres[3 * c + k] += r.means[3 * i + k];
-      r.rgb[3 * c + k] += r.values[kStoreColumns * r.rows[i] + 11 + k];
+      r.rgb[3 * c + k] += r.values[kColumns * r.rows[i] + 11 + k];
     }
   }
   for (int64_t i = 0; i < 3 * cells; i++) {
@@ -89,14 +87,14 @@ inline void find_creep(const CreepRequest &r) {
     const int64_t row = r.rows[i];
     counts[r.of[i]]++;
     if (r.known_ids[row] != r.ids[row] || r.known_homes[row] != r.homes[r.of[i]]) continue;
-    for (int k = 0; k < 3; k++) steps[3 * i + k] = r.values[kStoreColumns * row + k] - r.known_means[3 * row + k];
+    for (int k = 0; k < 3; k++) steps[3 * i + k] = r.values[kColumns * row + k] - r.known_means[3 * row + k];
   }
   std::fill_n(r.known_ids, r.capacity, -1);
   for (int64_t i = 0; i < r.count; i++) {
     const int64_t row = r.rows[i];
     r.known_ids[row] = r.ids[row];
     r.known_homes[row] = r.homes[r.of[i]];
-    std::copy_n(r.values + kStoreColumns * row, 3, r.known_means + 3 * row);
+    std::copy_n(r.values + kColumns * row, 3, r.known_means + 3 * row);
   }
   std::fill_n(r.crept, 3 * r.cells, 0.);
   for (int64_t i = 0; i < 3 * r.count; i++) r.crept[3 * r.of[i / 3] + i % 3] += steps[i];

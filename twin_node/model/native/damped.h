@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "interface.h"
-#include "publishing.h"
 
 #include "../../native/rounded_twice.h"
 

@@ -64,8 +64,8 @@ struct Shift {
 class FlowLevel {
  public:
   FlowLevel(const FlowRules &rules, int width, int height)
-      : rules_(rules), width(width), height(height), shown(width * height), image(width * height),
-        wanted(width * height) {}
+      : width(width), height(height), shown(width * height), image(width * height), wanted(width * height),
+        rules_(rules) {}
 
   // Half the size: means of 2 x 2 pixels.
   FlowLevel halved() const {

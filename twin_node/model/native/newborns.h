@@ -5,7 +5,6 @@
 
 #include "../../native/quaternions.h"
 #include "interface.h"
-#include "publishing.h"
 
 #include "../../native/rounded_twice.h"
 

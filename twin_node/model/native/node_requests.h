@@ -5,6 +5,8 @@
 
 namespace model {
 
+constexpr int kColumns = 14;  // of a row of a store's values: mean, quat, log scale, logit, colour
+
 // Nodes at some times from now.
 struct AdvanceRequest {
   int64_t times, nodes;

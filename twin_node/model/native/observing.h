@@ -45,7 +45,7 @@ inline void observe(const ObserveRules &rules, const ObservedView &v) {
     }
     for (int64_t i = 0; i < count; i++) {
       const bool wrong = surprise[i] > rules.threshold, moves = near_moving[i] != 0;
-      wrong_s[i] = wrong & !moves ? before_s[i] + rules.elapsed_s : 0.f;
+      wrong_s[i] = (wrong & !moves) ? before_s[i] + rules.elapsed_s : 0.f;
       stale[i] = wrong_s[i] > rules.stale_s;
       active[i] = (moves | wrong) & (usable[i] != 0);
     }

@@ -9,8 +9,6 @@
 
 namespace model {
 
-constexpr int kColumns = 14;  // of a row of values: mean, quat, log scale, logit, colour
-
 // The velocity of a point that a node carries, m/s.
 inline void velocity_at(const NodesNow &nodes, int64_t node, const float *point, float *out) {
   const double *position = nodes.positions + 3 * node, *turning = nodes.turns + 3 * node;

@@ -6,7 +6,7 @@
 
 namespace splat {
 
-constexpr int kMean = 0, kQuat = 3, kLogScale = 7, kLogit = 10, kRgb = 11, kColumns = 14;  // of a row of values
+constexpr int kMean = 0, kQuat = 3, kLogScale = 7, kLogit = 10, kRgb = 11;  // first columns of a row of values
 constexpr float kAdamFloor = 1e-12f;
 constexpr int kRowsPerChunk = 128;
 

@@ -17,6 +17,8 @@ enum Status : int32_t {
 
 enum DepthMode : int32_t { kNoDepth = 0, kAccumulatedDepth = 1, kExpectedDepth = 2 };
 
+constexpr int kColumns = 14;  // of a row of a store's values: mean, quat, log scale, logit, colour
+
 // B batches of C cameras, N Gaussians each. A batch stride of 0 shares the array among all batches.
 struct Request {
   int32_t batches, cameras, gaussians, width, height;

@@ -9,12 +9,11 @@
 
 namespace splat {
 
-constexpr int kPlaceColumns = 14;        // of a row of values: mean, quat, log scale, logit, colour
 constexpr int64_t kPlacedPerTask = 512;  // rows
 
 // Row `i` at time `time`, from `row` of the store.
 inline void carry_row(const PlaceRequest &r, int64_t i, int64_t row, int64_t time) {
-  const float *value = r.values + kPlaceColumns * row;
+  const float *value = r.values + kColumns * row;
   double mean[3], quat[4], carried[4];
   for (int k = 0; k < 3; k++) mean[k] = value[k];
   for (int k = 0; k < 4; k++) quat[k] = value[3 + k];
@@ -37,7 +36,7 @@ inline void place(const PlaceRequest &r) {
     const int64_t begin = task * kPlacedPerTask, end = std::min(r.count, begin + kPlacedPerTask);
     for (int64_t i = begin; i < end; i++) {
       const int64_t row = r.rows == nullptr ? i : r.rows[i];
-      const float *value = r.values + kPlaceColumns * row;
+      const float *value = r.values + kColumns * row;
       for (int64_t time = 0; time < r.times; time++) carry_row(r, i, row, time);
       for (int k = 0; k < 3; k++) {
         r.scales[3 * i + k] = std::exp(value[7 + k]);
