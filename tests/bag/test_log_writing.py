@@ -90,10 +90,10 @@ def test_two_writers_of_one_log_are_not_mixed(tmp_path: Path, name: str) -> None
 
 
 def test_a_folder_that_cannot_be_begun_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(_: object) -> None:
+    def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("twin_node.bag.writer.FolderWriter.open", full)
+    monkeypatch.setattr(Path, "open", full)
     with pytest.raises(BagError, match="No space left on device"):
         LogWriter(tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []

@@ -8,14 +8,17 @@ import os
 import re
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from mcap.reader import make_reader
+from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log
 from twin_node.bag.latched import standing_before
+from twin_node.bag.qos import profile
 from twin_node.bag.repair import repair
 from twin_node.messages import builtin_types, deserialize, message_type, serialize
 
@@ -171,6 +174,38 @@ def test_repair_goes_on_behind_a_damaged_chunk(tmp_path: Path) -> None:
     found = repair(tmp_path / "log.mcap", tmp_path / "whole.mcap")
     assert found.damage is not None
     assert stamps_of(tmp_path / "whole.mcap") == [*range(100), *range(200, 300)]
+
+
+@pytest.mark.parametrize("output", ["whole.mcap", "whole"])
+def test_a_repaired_log_keeps_times_of_publishing_and_quality_of_service(tmp_path: Path, output: str) -> None:
+    """Of best-effort images `ros2 bag play` would else make reliable ones, for which others wait."""
+    offered = profile(latched=False)._replace(reliability=QosReliability.BEST_EFFORT, depth=5)
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.add_topic("/images", STRING, profiles=[offered, profile(latched=True)])
+        log.write_raw("/images", STRING, text("a"), 100, 90)
+        log.write("/notes", message_type(STRING)(data="b"), 200)
+    repair(tmp_path / "log.mcap", tmp_path / output)
+    with open_log(tmp_path / output) as log:
+        assert [(m.stamp, m.published) for m in log.messages()] == [(100, 90), (200, 200)]
+        assert log.profiles("/images") == (offered, profile(latched=True))
+        assert log.profiles("/notes") == (profile(latched=False),)
+    if output == "whole":
+        with Reader(tmp_path / output) as bag:
+            assert bag.connections[0].ext.offered_qos_profiles == [offered, profile(latched=True)]
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("version", [8, 9])
+def test_quality_of_service_is_read_as_each_distribution_writes_it(
+    tmp_path: Path, plugin: StoragePlugin, version: Literal[8, 9]
+) -> None:
+    offered = profile(latched=True)._replace(reliability=QosReliability.BEST_EFFORT)
+    with Writer(tmp_path / "bag", version=version, storage_plugin=plugin) as bag:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        bag.write(bag.add_connection("/a", STRING, typestore=store, offered_qos_profiles=[offered]), 1, text("a"))
+    with open_log(tmp_path / "bag") as log:
+        assert log.profiles("/a") == (offered,)
+        assert log.topics[0].latched
 
 
 @pytest.mark.parametrize("cut", [0, 20])

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
+from rosbags.interfaces import Qos
+
 from twin_node.errors import TwinError
 from twin_node.messages import Message, MessageTypes
 
@@ -44,6 +46,8 @@ class LogMessage:
     """CDR with encapsulation header."""
     types: MessageTypes = field(repr=False, compare=False)
     """The types as the log defines them."""
+    published: int
+    """When its publisher sent it, by its own clock, ns; the log time where the log does not say."""
 
     @cached_property
     def message(self) -> Message:
@@ -60,7 +64,8 @@ class Channel:
     encoding: str
     """How messages are serialised; only `cdr` is read."""
     count: int
-    latched: bool
+    profiles: tuple[Qos, ...]
+    """Quality of service that its publishers offered; none where the file does not say."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,8 @@ class Record:
     stamp: int
     """Log time, ns."""
     data: bytes
+    published: int
+    """Time of publishing, ns; the log time where the file has none."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from twin_node.bag.mcap_records import (
     opened,
     parsed,
 )
-from twin_node.bag.qos import offers_latched
+from twin_node.bag.qos import profiles_of
 
 FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
@@ -95,7 +95,7 @@ class McapStorage:
                 msgtype=self._msgtype(channel),
                 encoding=channel.message_encoding,
                 count=self._index.counts[channel.id],
-                latched=offers_latched(channel.metadata.get("offered_qos_profiles", "")),
+                profiles=profiles_of(channel.metadata.get("offered_qos_profiles", "")),
             )
             for channel in self._index.channels.values()
         )
@@ -155,7 +155,8 @@ class McapStorage:
 
     def _record(self, message: Message) -> Record:
         channel = self._index.channels[message.channel_id]
-        return Record(channel.topic, self._msgtype(channel), message.log_time, message.data)
+        published = message.publish_time or message.log_time
+        return Record(channel.topic, self._msgtype(channel), message.log_time, message.data, published)
 
     def _msgtype(self, channel: ChannelRecord) -> str:
         schema = self._index.schemas.get(channel.schema_id)

@@ -39,16 +39,21 @@ def profile(latched: bool) -> Qos:
 
 
 def offered_qos_profiles(latched: bool) -> str:
-    """The profile as YAML with numeric policies, the form that every ROS 2 distribution reads."""
-    return dump_qos_v8([profile(latched)])
+    """The profile of a topic of ours as logs store it."""
+    return stored([profile(latched)])
 
 
-def offers_latched(text: str) -> bool:
-    """Whether a stored `offered_qos_profiles` names a transient-local publisher; unreadable ones do not."""
+def profiles_of(text: str) -> tuple[Qos, ...]:
+    """The profiles of a stored `offered_qos_profiles`, whatever distribution wrote it; none of an unreadable one."""
     try:
-        return any_transient_local(parse_qos(text))
-    except (ReaderError, KeyError, TypeError, AttributeError):
-        return False
+        return tuple(parse_qos(text))
+    except (ReaderError, KeyError, TypeError, AttributeError, ValueError, RecursionError):
+        return ()
+
+
+def stored(profiles: Sequence[Qos]) -> str:
+    """Profiles as YAML with numeric policies, the form that every ROS 2 distribution reads."""
+    return dump_qos_v8(list(profiles))
 
 
 def any_transient_local(profiles: Sequence[Qos]) -> bool:

@@ -11,16 +11,18 @@ from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
 
+from rosbags.interfaces import Qos
+
 from twin_node.bag import mcap_records, sqlite_storage
 from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
+from twin_node.bag.folder_metadata import METADATA_FILE
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.log_times import NO_START, NO_STOP, within
 from twin_node.bag.mcap_storage import McapStorage
+from twin_node.bag.qos import any_transient_local
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
 from twin_node.yaml_file import YAML_ERRORS, parse_yaml, yaml_reason
-
-METADATA_FILE = "metadata.yaml"
 
 
 class LogReader:
@@ -77,6 +79,15 @@ class LogReader:
         """Message types as this log defines them, beside the built-in ones."""
         return self._types
 
+    def profiles(self, topic: str) -> tuple[Qos, ...]:
+        """Quality of service that a topic's publishers offered, as its first file has it; none where none says."""
+        msgtype = self._kinds.get(topic)
+        for storage in self._storages:
+            for channel in storage.channels:
+                if (channel.topic, channel.msgtype) == (topic, msgtype) and channel.profiles:
+                    return channel.profiles
+        return ()
+
     @property
     def start_ns(self) -> int:
         """Log time of the first message, ns."""
@@ -127,7 +138,9 @@ class LogReader:
             for entry in heapq.merge(*streams, key=_Entry.order):
                 record = entry.record
                 if record is not None and self._kinds.get(record.topic) == record.msgtype:
-                    yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, self._types)
+                    yield LogMessage(
+                        record.topic, record.msgtype, record.stamp, record.data, self._types, record.published
+                    )
         except DamageError as damage:
             self._damage = str(damage)
 
@@ -318,7 +331,8 @@ def _merge_topics(
             continue
         key = channel.topic, channel.msgtype
         known = kinds.get(key, Topic(*key, -outside.get(key, 0)))
-        kinds[key] = replace(known, count=known.count + channel.count, latched=known.latched or channel.latched)
+        latched = known.latched or any_transient_local(channel.profiles)
+        kinds[key] = replace(known, count=known.count + channel.count, latched=latched)
     lines = [f"{topic}: {count} messages in {form}; expected cdr" for (topic, form), count in others.items()]
     merged: dict[str, Topic] = {}
     for kind in sorted(kinds.values(), key=lambda kind: (kind.name, -kind.count, kind.msgtype)):

@@ -9,18 +9,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-import yaml
 from mcap.writer import CompressionType, Writer
 
+from twin_node.bag.folder_metadata import METADATA_FILE, FolderFile, FolderTopic, write_metadata
 from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles
-from twin_node.bag.writer import BAG_VERSION, LIBRARY, PROFILE
+from twin_node.bag.writer import LIBRARY, PROFILE
 from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
-METADATA_FILE = "metadata.yaml"
 FLUSH_S = 0.5
 """How long messages wait for their chunk, s: what a killed recorder loses."""
 CHUNK_BYTES = 4 << 20
@@ -213,11 +212,11 @@ class RecordingWriter:
         self._write_metadata()
 
     def _write_metadata(self) -> None:
-        """Puts a folder's metadata in place, whole: it names all files, so that an interrupted recording opens too."""
+        """Of a folder: it names all files from the first moment on, so that an interrupted recording opens too."""
         if self.path.suffix != ".mcap":
-            new = self.path / f"{METADATA_FILE}.new"
-            new.write_text(yaml.safe_dump(self._metadata(), sort_keys=False), encoding="utf-8")
-            new.replace(self.path / METADATA_FILE)
+            write_metadata(
+                self.path, [_told(file) for file in self._files], [self._topic(name) for name in self.topics]
+            )
 
     def _end_file(self) -> None:
         """Finishes the last file, unless it was the next one that could not be begun."""
@@ -255,39 +254,11 @@ class RecordingWriter:
         file.end = max(file.end, stamp)
         file.bytes += len(data)
 
-    def _metadata(self) -> dict[str, object]:
-        """The folder's `metadata.yaml` as `ros2 bag` writes it."""
-        begun = [file for file in self._files if file.start is not None]
-        start = min((file.start or 0 for file in begun), default=0)
-        end = max((file.end for file in begun), default=0)
-        return {
-            "rosbag2_bagfile_information": {
-                "version": BAG_VERSION,
-                "storage_identifier": "mcap",
-                "duration": {"nanoseconds": end - start},
-                "starting_time": {"nanoseconds_since_epoch": start},
-                "message_count": self.messages,
-                "topics_with_message_count": [self._topic_entry(channel) for channel in self._channels.values()],
-                "compression_format": "",
-                "compression_mode": "",
-                "relative_file_paths": [file.path.name for file in self._files],
-                "files": [_file_entry(file) for file in self._files],
-                "custom_data": None,
-                "ros_distro": "",
-            }
-        }
-
-    def _topic_entry(self, channel: _Channel) -> dict[str, object]:
-        return {
-            "topic_metadata": {
-                "name": channel.name,
-                "type": channel.msgtype,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": offered_qos_profiles(channel.is_latched),
-                "type_description_hash": channel.type_hash,
-            },
-            "message_count": sum(file.counts.get(channel.name, 0) for file in self._files),
-        }
+    def _topic(self, name: str) -> FolderTopic:
+        channel = self._channels[name]
+        count = sum(file.counts.get(name, 0) for file in self._files)
+        qos = offered_qos_profiles(channel.is_latched)
+        return FolderTopic(name, channel.msgtype, qos, channel.type_hash, count)
 
     def _refused(self, error: OSError) -> BagError:
         return BagError(
@@ -307,11 +278,5 @@ def _check(path: Path, split: SplitParameters) -> None:
         raise BagError(f"{path}: one file cannot be split; give a name without an ending for a folder of files")
 
 
-def _file_entry(file: _File) -> dict[str, object]:
-    start = file.start or 0
-    return {
-        "path": file.path.name,
-        "starting_time": {"nanoseconds_since_epoch": start},
-        "duration": {"nanoseconds": file.end - start},
-        "message_count": sum(file.counts.values()),
-    }
+def _told(file: _File) -> FolderFile:
+    return FolderFile(file.path.name, file.start, file.end, sum(file.counts.values()))

@@ -26,9 +26,8 @@ class Repaired:
 def repair(source: Path, output: Path) -> Repaired:
     """Copies a log's topics, metadata and readable messages to `output`: an `.mcap` file, or a new rosbag2 folder.
 
-    Messages keep their log times, topics their latching; times of publishing, sequence numbers and other policies of
-    quality of service do not go over. Chunks that are damaged are passed over; a folder whose recorder never wrote
-    `metadata.yaml` is taken too.
+    Messages keep their times of recording and of publishing, topics their quality of service; sequence numbers begin
+    anew. Chunks that are damaged are passed over; a folder whose recorder never wrote `metadata.yaml` is taken too.
     Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
     """
     if os.path.lexists(output):
@@ -37,12 +36,12 @@ def repair(source: Path, output: Path) -> Repaired:
         known = [topic for topic in log.topics if topic.msgtype in log.types]
         for topic in known:
             definition = log.types.definition(topic.msgtype)
-            writer.add_topic(topic.name, topic.msgtype, definition=definition, latched=topic.latched)
+            writer.add_topic(topic.name, topic.msgtype, definition=definition, profiles=log.profiles(topic.name))
         for name, record in log.metadata.items():
             writer.add_metadata(name, record)
         messages = 0
         for message in log.messages([topic.name for topic in known], past_damage=True):
-            writer.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+            writer.write_raw(message.topic, message.msgtype, message.data, message.stamp, message.published)
             messages += 1
         unknown = [f"{topic.name}, whose type is defined nowhere" for topic in log.topics if topic not in known]
         attached = [f"the attachment {name}" for name in log.attachments]

@@ -13,7 +13,6 @@ from rosbags.rosbag2 import Reader, ReaderError
 
 from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
 from twin_node.bag.log_times import NO_STOP
-from twin_node.bag.qos import any_transient_local
 
 MAGIC = b"SQLite format 3\x00"
 ENDING = ".db3"
@@ -47,7 +46,7 @@ class SqliteStorage:
                 msgtype=connection.msgtype,
                 encoding=cast("ConnectionExtRosbag2", connection.ext).serialization_format,
                 count=connection.msgcount,
-                latched=any_transient_local(cast("ConnectionExtRosbag2", connection.ext).offered_qos_profiles),
+                profiles=tuple(cast("ConnectionExtRosbag2", connection.ext).offered_qos_profiles),
             )
             for connection in self._reader.connections
         )
@@ -105,7 +104,7 @@ class SqliteStorage:
                 raise DamageError(
                     f"{self._path}: damaged after the message at {stamp} ns ({reason}); read up to it"
                 ) from None
-            yield Record(connection.topic, connection.msgtype, stamp, data)
+            yield Record(connection.topic, connection.msgtype, stamp, data, stamp)
 
     def close(self) -> None:
         """Releases the file."""

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol
 
 from mcap.writer import CompressionType, Writer
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as FolderWriter
+from rosbags.interfaces import Qos
 
+from twin_node.bag.folder_metadata import FolderFile, FolderTopic, write_metadata
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
-from twin_node.bag.qos import is_latched, offered_qos_profiles, profile
+from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
 from twin_node.unfinished import partial_of, taken
 
@@ -26,23 +24,25 @@ PROFILE, LIBRARY = "ros2", "twin_node"
 CHUNK_BYTES = 1 << 20
 """Uncompressed size at which a chunk is closed: mcap's default, half a second of one 640x480 JPEG stream."""
 
-BAG_VERSION: Literal[8] = 8
-"""rosbag2 metadata version with numeric QoS policies, read by every distribution since Humble."""
-
 
 @dataclass(frozen=True)
-class _Definition:
+class _Announced:
+    """A topic, as it is announced."""
+
+    name: str
     msgtype: str
-    text: str
+    definition: str
     type_hash: str
+    qos: str
+    """`offered_qos_profiles`."""
 
 
 class _Sink(Protocol):
     """Where a log goes: a file or a folder."""
 
-    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None: ...
+    def add_topic(self, topic: _Announced) -> None: ...
 
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None: ...
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None: ...
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None: ...
 
@@ -62,7 +62,7 @@ class LogWriter:
     already is another writer's, or all that is left of a log whose writer was killed: it is refused. The same calls
     give the same bytes.
 
-    `compression` of the chunks of an MCAP file: none by default, as `ros2 bag record`, because images are compressed.
+    `compression` of the chunks: none by default, as `ros2 bag record`, because images are compressed.
     Raises `BagError` for a wrong path, stamp or type, and when the disk refuses.
     """
 
@@ -77,10 +77,19 @@ class LogWriter:
         except OSError as error:
             raise self._refused(error) from None
 
-    def add_topic(self, name: str, msgtype: str, *, definition: str | None = None, latched: bool | None = None) -> None:
+    def add_topic(
+        self,
+        name: str,
+        msgtype: str,
+        *,
+        definition: str | None = None,
+        latched: bool | None = None,
+        profiles: Sequence[Qos] = (),
+    ) -> None:
         """Announces a topic; needed only for what `write` cannot know.
 
         `definition`: `ros2msg` text of a type outside of the built-in set. `latched`: None follows `qos.is_latched`.
+        `profiles`: quality of service of its publishers; none: reliable, and latched or not.
         """
         if self._topics.setdefault(name, msgtype) != msgtype:
             raise BagError(f"{self.path}: topic {name} holds {self._topics[name]}, found a message of {msgtype}")
@@ -89,8 +98,9 @@ class LogWriter:
             types = types.extended({msgtype: definition})
         text = types.definition(msgtype) if definition is None else definition
         latched = is_latched(name) if latched is None else latched
+        qos = stored(profiles or [profile(latched)])
         try:
-            self._sink.add_topic(name, _Definition(msgtype, text, types.type_hash(msgtype)), latched)
+            self._sink.add_topic(_Announced(name, msgtype, text, types.type_hash(msgtype), qos))
         except OSError as error:
             raise self._refused(error) from None
 
@@ -98,13 +108,15 @@ class LogWriter:
         """Writes a message at a log time in ns."""
         self.write_raw(topic, message.__msgtype__, serialize(message), stamp_ns)
 
-    def write_raw(self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int) -> None:
-        """Writes CDR bytes of a message at a log time in ns."""
+    def write_raw(
+        self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int, published_ns: int | None = None
+    ) -> None:
+        """Writes CDR bytes of a message at a log time in ns, published at that time or another."""
         check_log_time(stamp_ns, topic, self.path)
         try:
             if self._topics.get(topic) != msgtype:
                 self.add_topic(topic, msgtype)
-            self._sink.write(topic, data, stamp_ns)
+            self._sink.write(topic, data, stamp_ns, stamp_ns if published_ns is None else published_ns)
         except OSError as error:
             raise self._refused(error) from None
 
@@ -116,7 +128,7 @@ class LogWriter:
             raise self._refused(error) from None
 
     def flush(self) -> None:
-        """Hands all that was written to the operating system, so that a crash loses nothing of it (MCAP file only)."""
+        """Hands all that was written to the operating system, so that a crash loses nothing of it."""
         try:
             self._sink.flush()
         except OSError as error:
@@ -163,7 +175,7 @@ def _open_sink(path: Path, compression: Literal["none", "zstd", "lz4"]) -> _Sink
         raise BagError(f"{path}: expected a name ending in .mcap, or one without an ending for a rosbag2 folder")
     if path.exists():
         raise BagError(f"{path}: exists already; remove it or choose another name")
-    return _FolderSink(path)
+    return _FolderSink(path, CompressionType[compression.upper()])
 
 
 class _FileSink:
@@ -180,19 +192,25 @@ class _FileSink:
         self._writer.start(PROFILE, LIBRARY)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        self._sequences: dict[str, int] = {}
+        self.counts: dict[str, int] = {}
+        """Topic -> messages."""
+        self.start: int | None = None
+        """Log times of the first and the last message, ns."""
+        self.end = 0
 
-    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None:
-        msgtype = definition.msgtype
+    def add_topic(self, topic: _Announced) -> None:
+        msgtype = topic.msgtype
         if msgtype not in self._schemas:
-            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", definition.text.encode())
-        qos = {"offered_qos_profiles": offered_qos_profiles(latched), "topic_type_hash": definition.type_hash}
-        self._channels[name] = self._writer.register_channel(name, "cdr", self._schemas[msgtype], qos)
-        self._sequences[name] = 0
+            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", topic.definition.encode())
+        qos = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
+        self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[msgtype], qos)
+        self.counts.setdefault(topic.name, 0)
 
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None:
-        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._sequences[topic])
-        self._sequences[topic] += 1
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:
+        self._writer.add_message(self._channels[topic], stamp_ns, data, published_ns, self.counts[topic])
+        self.counts[topic] += 1
+        self.start = stamp_ns if self.start is None else min(self.start, stamp_ns)
+        self.end = max(self.end, stamp_ns)
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(record))
@@ -212,9 +230,9 @@ class _FileSink:
 
 
 class _FolderSink:
-    """A rosbag2 folder; its files carry the folder's name, so it grows inside a `.partial` folder."""
+    """A rosbag2 folder around one file, which carries the folder's name; it grows inside a `.partial` folder."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, compression: CompressionType) -> None:
         self._path = path
         self._partial = partial_of(path)
         for left in (self._partial / path.name, self._partial):
@@ -224,37 +242,39 @@ class _FolderSink:
             self._partial.mkdir()
         except FileExistsError:
             raise BagError(taken(path)) from None
-        self._writer = FolderWriter(self._partial / path.name, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._folder = self._partial / path.name
+        self._name = f"{path.name}.mcap"
         try:
-            self._writer.open()
+            self._folder.mkdir()
+            self._file = _FileSink(self._folder / self._name, compression)
         except OSError:
             shutil.rmtree(self._partial, ignore_errors=True)
             raise
-        self._connections: dict[str, Connection] = {}
+        self._topics: dict[str, _Announced] = {}
+        self._records: dict[str, Mapping[str, str]] = {}
 
-    def add_topic(self, name: str, definition: _Definition, latched: bool) -> None:
-        self._connections[name] = self._writer.add_connection(
-            name,
-            definition.msgtype,
-            msgdef=definition.text,
-            rihs01=definition.type_hash,
-            offered_qos_profiles=[profile(latched)],
-        )
+    def add_topic(self, topic: _Announced) -> None:
+        self._topics[topic.name] = topic
+        self._file.add_topic(topic)
 
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int) -> None:
-        self._writer.write(self._connections[topic], stamp_ns, data)
+    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:
+        self._file.write(topic, data, stamp_ns, published_ns)
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
-        self._writer.set_custom_data(name, json.dumps(dict(record), sort_keys=True))
+        self._records[name] = record
 
     def flush(self) -> None:
-        """Nothing: rosbags writes whole chunks only."""
+        self._file.flush()
 
     def commit(self) -> None:
-        self._writer.close()
-        (self._partial / self._path.name).rename(self._path)
+        self._file.commit()
+        counts = self._file.counts
+        file = FolderFile(self._name, self._file.start, self._file.end, sum(counts.values()))
+        topics = [FolderTopic(t.name, t.msgtype, t.qos, t.type_hash, counts[t.name]) for t in self._topics.values()]
+        write_metadata(self._folder, [file], topics, self._records)
+        self._folder.rename(self._path)
         self._partial.rmdir()
 
     def abort(self) -> None:
-        self._writer.abort()
+        self._file.abort()
         shutil.rmtree(self._partial, ignore_errors=True)
