@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
+from twin_node.bag.disk import DiskSync
 from twin_node.bag.folder_metadata import METADATA_FILE, FolderFile, FolderTopic, write_metadata
 from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
@@ -71,7 +72,8 @@ class _File:
 class RecordingWriter:
     """Writes messages as they come. Nothing is lost of what is older than half a second, however its process ends.
 
-    What the operating system has not put on the disk yet, a power cut takes: seconds of messages, or half a minute.
+    What is written is put onto the disk at once, by a thread beside: a power cut takes the last second on a disk that
+    keeps up, and what a slower one has not taken yet.
 
     `path` ends in `.mcap` for one file, which cannot be split, or is a new folder: NAME_0.mcap, NAME_1.mcap and so on,
     and `metadata.yaml`. Latched messages stand at the beginning of every file again, so that each is whole.
@@ -86,12 +88,14 @@ class RecordingWriter:
         self._kept: dict[str, list[bytes]] = {}
         """What the next file begins with."""
         self._files: list[_File] = []
+        self._disk = DiskSync()
         self._flushed_at = time.monotonic()
         self._is_closed = False
         try:
             _check(self.path, self._split)
             if self.path.suffix != ".mcap":
                 self.path.mkdir(parents=True)
+                self._disk.ask(self.path.parent)
             self._begin_file()
         except OSError as error:
             raise self._refused(error) from None
@@ -163,6 +167,7 @@ class RecordingWriter:
             self._flushed_at = now
             try:
                 self._files[-1].writer.flush()
+                self._disk.ask(self._files[-1].path)
             except OSError as error:
                 raise self._refused(error) from None
 
@@ -180,6 +185,7 @@ class RecordingWriter:
                 self._end_file()
             finally:
                 self._write_metadata()
+            self._disk.settle()
         except OSError as error:
             raise self._refused(error) from None
 
@@ -209,14 +215,17 @@ class RecordingWriter:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         writer.start(PROFILE, LIBRARY)
         self._files.append(_File(path, stream, writer))
+        self._disk.ask(path.parent)
         self._write_metadata()
 
     def _write_metadata(self) -> None:
         """Of a folder: it names all files from the first moment on, so that an interrupted recording opens too."""
-        if self.path.suffix != ".mcap":
-            write_metadata(
-                self.path, [_told(file) for file in self._files], [self._topic(name) for name in self.topics]
-            )
+        if self.path.suffix == ".mcap":
+            return
+        files, topics = [_told(file) for file in self._files], [self._topic(name) for name in self.topics]
+        write_metadata(self.path, files, topics)
+        self._disk.ask(self.path / METADATA_FILE)
+        self._disk.ask(self.path)
 
     def _end_file(self) -> None:
         """Finishes the last file, unless it was the next one that could not be begun."""
@@ -227,6 +236,7 @@ class RecordingWriter:
             file.writer.finish()
         finally:
             file.stream.close()
+        self._disk.ask(file.path)
 
     def _is_full(self, stamp: int) -> bool:
         file = self._files[-1]
