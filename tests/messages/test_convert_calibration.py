@@ -59,6 +59,18 @@ def test_regions_and_binning_that_leave_no_image_are_named(roi: tuple[int, int],
         c.rig_camera(info, "front", np.eye(4))
 
 
+@pytest.mark.parametrize(("model", "count"), [("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)])
+def test_zeros_after_a_model_s_coefficients_are_left_out(model: str, count: int) -> None:
+    """Some drivers send all fourteen that OpenCV has a name for."""
+    info = c.camera_info(camera(), STAMP)
+    D = np.pad(np.linspace(0.1, 0.2, count), (0, 14 - count))
+    found = c.rig_camera(replace(info, distortion_model=model, d=D), "front", np.eye(4))
+    np.testing.assert_array_equal(found.D, D[:count])
+    D[-1] = 1e-3
+    with pytest.raises(MessageError, match=f"{model} needs .*{count} finite"):
+        c.rig_camera(replace(info, distortion_model=model, d=D), "front", np.eye(4))
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -108,7 +108,8 @@ def test_bayer_patterns_put_red_into_the_first_channel(pattern: str, red_at: tup
 
 def test_yuv422_in_both_orders() -> None:
     uyvy = np.tile(np.array([90, 81, 240, 81], dtype=np.uint8), (4, 2)).reshape(4, 4, 2)  # BT.601 red
-    for encoding, data in (("yuv422", uyvy), ("yuv422_yuy2", uyvy[..., ::-1])):
+    yuyv = uyvy[..., ::-1]
+    for encoding, data in (("yuv422", uyvy), ("uyvy", uyvy), ("yuv422_yuy2", yuyv), ("yuyv", yuyv)):
         decoded = rgb_from_message(image(encoding, data))
         assert decoded.shape == (4, 4, 3)
         assert np.abs(decoded.astype(int) - [254, 0, 0]).max() <= 2

@@ -17,7 +17,9 @@ _LEAST_QUATERNION = 1e-3
 """Quaternions whose numbers are all smaller are no rotation that was rounded, but none."""
 
 DISTORTION_SIZES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
-"""Numbers of coefficients that each ROS distortion model may have (sensor_msgs/distortion_models.hpp)."""
+"""Numbers of coefficients that each ROS distortion model may have (sensor_msgs/distortion_models.hpp).
+
+Zeros may follow them."""
 
 
 def optical_frame(camera: str) -> str:
@@ -100,6 +102,8 @@ def _coefficients(name: str, model: str, D: Float64) -> Float64:
         )
     if len(D) == 0:
         return np.zeros(sizes[-1])
+    if not np.any(D[sizes[-1] :]):  # drivers fill all that OpenCV knows with zeros
+        D = D[: sizes[-1]]
     if len(D) not in sizes or not np.all(np.isfinite(D)):
         raise MessageError(
             f"camera {name}: {model} needs {' or '.join(map(str, sizes))} finite distortion coefficients, "

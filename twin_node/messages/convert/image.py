@@ -30,15 +30,18 @@ TO_RGB = {
     "bayer_gbrg8": cv2.COLOR_BayerGBRG2RGB,
     "bayer_grbg8": cv2.COLOR_BayerGRBG2RGB,
     "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+    "uyvy": cv2.COLOR_YUV2RGB_UYVY,
     "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+    "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }
-"""OpenCV conversion of each encoding of sensor_msgs/image_encodings.hpp that is not RGB already."""
+"""OpenCV conversion of each encoding of sensor_msgs/image_encodings.hpp that has 8 bits per value, rows of one length
+and is not RGB already; two have had other names since Iron."""
 
-CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, "yuv422": 2, "yuv422_yuy2": 2}
-"""Bytes per pixel where there is more than one."""
-
-PAIRED = ("yuv422", "yuv422_yuy2")
+PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 """Encodings in which two neighbours share their colour."""
+
+CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, **dict.fromkeys(PAIRED, 2)}
+"""Bytes per pixel where there is more than one."""
 
 MM_PER_M = 1000.0
 PNG_SIGNATURE = b"\x89PNG"
