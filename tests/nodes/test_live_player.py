@@ -48,7 +48,7 @@ class Theatre:
         self.heard: list[tuple[str, str]] = []
         self.clock: list[int] = []
         self.finished, self.enough = threading.Event(), threading.Event()
-        wire = LocalWire()
+        self.wire = wire = LocalWire()
         for topic in ("/a", "/b", "/c"):
             wire.subscribe("test", topic, TopicKind(STRING), self._hear(topic))
         wire.subscribe("test", CLOCK, kind_of(CLOCK), lambda m: self.clock.append(convert.clock_from_message(m)))
@@ -116,6 +116,19 @@ def test_what_stands_is_told_before_a_part(tmp_path: Path) -> None:
     theatre = Theatre(path, start_offset=100.0, topics=("/a",))
     theatre.play()
     assert theatre.heard == [("/a", "within")]
+
+
+def test_who_comes_late_is_told_all_transforms(tmp_path: Path) -> None:
+    """They are one publisher's now, and were several ones' when they were recorded: cameras', the robot's."""
+    path, kind = tmp_path / "run.mcap", kind_of("/tf_static")
+    with RecordingWriter(path) as writer:
+        for i, words in enumerate(("cameras", "robot", "tool")):
+            data = bytes(serialize(message_type(STRING)(data=words)))
+            writer.write("/tf_static", STRING, data, START + i, builtin_types())
+    theatre, late = Theatre(path), list[str]()
+    theatre.play()
+    theatre.wire.subscribe("late", "/tf_static", kind, lambda message: late.append(message.decode().data))
+    assert late == ["cameras", "robot", "tool"]
 
 
 def test_the_clock_ticks_with_the_log(log: Path) -> None:

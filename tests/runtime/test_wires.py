@@ -12,7 +12,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import message_type
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
-from twin_node.runtime.qos import LATCHED, NEWEST, RELIABLE, TopicKind
+from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, NEWEST, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
 from twin_node.runtime.wire import Encoded, LocalWire, Wire, encoded
 from twin_node.runtime.wire_bus import WireBus
@@ -165,6 +165,16 @@ def test_a_latched_message_crosses_zenoh_to_the_late(wires: tuple[ZenohWire, Zen
     talker.bus.publish("/map", text("new"))
     listener.listen("/map")
     assert listener.wait().data == "new"
+
+
+def test_all_that_is_kept_of_a_latched_topic_crosses_zenoh_to_the_late(wires: tuple[ZenohWire, ZenohWire]) -> None:
+    talker, listener = Side(wires[0], "talker"), Side(wires[1], "listener")
+    for side in (talker, listener):
+        side.bus.declare("/tf_static", TopicKind(STRING, LATCHED_BY_SEVERAL))
+    for words in ("cameras", "robot", "tool"):
+        talker.bus.publish("/tf_static", text(words))
+    listener.listen("/tf_static")
+    assert [listener.wait().data for _ in range(3)] == ["cameras", "robot", "tool"]
 
 
 @pytest.mark.parametrize("repeats", [False, True])

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
-from twin_node.runtime.qos import EVERY, FRESH, LATCHED, NEWEST, SENSOR_DATA, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, FRESH, LATCHED, LATCHED_BY_SEVERAL, NEWEST, SENSOR_DATA, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -70,7 +70,7 @@ _MESSAGE_TYPES = {
     OBSTACLE_MARKERS: TopicKind("visualization_msgs/msg/MarkerArray", NEWEST),
     FRUSTA: TopicKind("visualization_msgs/msg/MarkerArray", LATCHED),
     SEPARATION_MARKER: TopicKind("visualization_msgs/msg/Marker"),
-    TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", Qos(depth=10, latched=True)),
+    TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", LATCHED_BY_SEVERAL),
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     FRAMES: TopicKind(None, FRESH),

@@ -14,10 +14,10 @@ class Qos:
     """Quality of service of a topic; keep-last is the only history."""
 
     depth: int = 10
-    """Messages kept for a subscriber that is busy; older ones are dropped, and counted."""
+    """Messages kept for a subscriber that is busy, and of a latched topic for a late one; older ones are dropped."""
     reliable: bool = True
     latched: bool = False
-    """Transient-local: a late subscriber is given the last message."""
+    """Transient-local: a late subscriber is given the last messages, `depth` of every publisher's."""
     repeats: bool = False
     """A latched message soon comes anew: a reader without room waits for the next one, and holds nobody up."""
     most_bytes: float = math.inf
@@ -31,6 +31,8 @@ RELIABLE = Qos()
 SENSOR_DATA = Qos(depth=5, reliable=False)
 """rmw_qos_profile_sensor_data."""
 LATCHED = Qos(depth=1, latched=True)
+LATCHED_BY_SEVERAL = Qos(depth=100, latched=True)
+"""No message is all: each tells of some transforms, as `tf2_ros`' listeners have it, and as a log has them of many."""
 NEWEST = Qos(depth=1)
 """Only the newest counts: what it replaces is dropped, and counted."""
 FRESH = Qos(depth=1, patience=PATIENCE)

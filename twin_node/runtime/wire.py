@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -50,7 +51,7 @@ class Wire(Protocol):
         """A function that sends messages of node `node` on `topic`; it may be called in any one thread at a time."""
 
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
-        """Hands every message on `topic` to `sink` until cancelled; a latched topic's last message comes at once."""
+        """Hands every message on `topic` to `sink` until cancelled; what is kept of a latched topic comes at once."""
 
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """Whether anybody would get what node `node` sends on `topic`."""
@@ -68,7 +69,7 @@ class LocalWire:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._sinks: dict[str, list[Sink]] = {}
-        self._latched: dict[str, dict[tuple[str, str], Any]] = {}
+        self._latched: dict[str, dict[tuple[str, str], deque[Any]]] = {}
 
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
         """A function that hands messages to every sink of `topic`."""
@@ -77,7 +78,8 @@ class LocalWire:
         def send(message: Any) -> None:
             with self._lock:
                 if kind.qos.latched:
-                    self._latched.setdefault(topic, {})[identity] = message
+                    kept = self._latched.setdefault(topic, {}).setdefault(identity, deque(maxlen=kind.qos.depth))
+                    kept.append(message)
                 sinks = tuple(self._sinks.get(topic, ()))
             for sink in sinks:
                 sink(message)
@@ -85,12 +87,13 @@ class LocalWire:
         return send
 
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
-        """Hands every message on `topic` to `sink`; a latched topic's last one of every publisher comes at once."""
-        with self._lock:
+        """Hands every message on `topic` to `sink`; what every publisher keeps of a latched topic comes at once."""
+        with self._lock:  # what is sent meanwhile comes after what is kept, which it may replace
             self._sinks.setdefault(topic, []).append(sink)
-            kept = tuple(self._latched.get(topic, {}).values()) if kind.qos.latched else ()
-        for message in kept:
-            sink(message)
+            if kind.qos.latched:
+                for kept in self._latched.get(topic, {}).values():
+                    for message in kept:
+                        sink(message)
 
         def cancel() -> None:
             with self._lock:

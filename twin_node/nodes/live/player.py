@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.bag import LogMessage, LogReader, Topic, open_log
-from twin_node.bag.latched import standing_before
+from twin_node.bag.latched import is_of_several, standing_before
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
@@ -18,7 +18,7 @@ from twin_node.nodes.player import Span, span_of
 from twin_node.nodes.topics import CLOCK, GraphError, absolute, is_topic_name, parse_remaps
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.runtime.node import Node
-from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
+from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, RELIABLE, TopicKind
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
 
@@ -102,10 +102,11 @@ class PlayNode(Node):
         self._time.pause(paused)
 
     def on_configure(self) -> None:
-        latched = {topic.name for topic in self._log.topics if topic.latched}
-        types = {topic.name: topic.msgtype for topic in self._log.topics}
-        for source, name in self._names.items():
-            self._bus.declare(name, TopicKind(types[source], LATCHED if source in latched else RELIABLE))
+        for topic in self._log.topics:
+            if topic.name in self._names:
+                latched = LATCHED_BY_SEVERAL if is_of_several(topic.name) else LATCHED
+                kind = TopicKind(topic.msgtype, latched if topic.latched else RELIABLE)
+                self._bus.declare(self._names[topic.name], kind)
 
     def on_activate(self) -> None:
         self._stop.clear()
