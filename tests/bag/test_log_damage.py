@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import ReaderError, StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
@@ -16,6 +16,7 @@ from twin_node.bag import BagError, LogWriter, open_log
 from twin_node.messages import message_type, serialize
 
 COUNT = 400
+STRING = "std_msgs/msg/String"
 NONE = "not the metadata of a rosbag2 folder"
 
 
@@ -114,6 +115,40 @@ def test_a_chunk_of_zeros_in_a_log_without_its_end_is_damage_and_the_rest_is_the
     assert damage is not None and f"zeros.mcap: damaged at byte {start}" in damage
     with open_log(path) as log:
         assert [m.stamp for m in log.messages(past_damage=True)] == [*range(100), *range(120, COUNT)]
+
+
+def test_zeros_in_a_chunk_without_a_checksum_are_damage(tmp_path: Path) -> None:
+    """As rosbag2's preset fastwrite writes chunks: nothing else tells that half of one never reached the disk."""
+    path = tmp_path / "zeros.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start("ros2", "fast")
+        channel = writer.register_channel("/a", "cdr", writer.register_schema(STRING, "ros2msg", b"string data"))
+        for i in range(40):
+            writer.add_message(channel, i, bytes(serialize(message_type(STRING)(data=f"{i:0500}"))), i)
+            if i % 20 == 19:
+                writer.flush()
+        writer.finish()
+    content = path.read_bytes()
+    assert read(path) == (list(range(40)), None)
+    at = content.index(f"{30:0500}".encode()) - 35
+    path.write_bytes(content[:at] + bytes(4096) + content[at + 4096 :])
+    stamps, damage = read(path)
+    assert stamps == list(range(20))
+    assert damage is not None and "found zeros" in damage
+
+
+def test_a_chunk_that_claims_more_than_any_holds_takes_no_memory(tmp_path: Path, whole: Path) -> None:
+    content = bytearray(whole.read_bytes()[:-20])
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    start = summary.chunk_indexes[5].chunk_start_offset
+    content[start + 9 + 16 : start + 9 + 24] = (1 << 40).to_bytes(8, "little")
+    (tmp_path / "claims.mcap").write_bytes(content)
+    stamps, damage = read(tmp_path / "claims.mcap")
+    assert stamps == list(range(100))
+    assert damage is not None and "says that it holds 1099511627776 bytes" in damage
 
 
 def test_zeros_behind_the_last_record_are_damage(tmp_path: Path, whole: Path) -> None:

@@ -313,6 +313,18 @@ def test_bags_that_rosbag2_compressed_are_read(tmp_path: Path, plugin: StoragePl
         assert [m.message.data for m in log.messages()] == [f"message {i}" for i in range(1, 5)]
 
 
+def test_a_packed_message_that_claims_all_memory_is_damage(tmp_path: Path) -> None:
+    """A flipped bit in its head does."""
+    bag = packed_bag(tmp_path / "packed", "MESSAGE")
+    claim = b"\x28\xb5\x2f\xfd\xe0" + (1 << 50).to_bytes(8, "little") + b"\1\0\0"
+    with LogWriter(tmp_path / "claims.mcap") as log:
+        log.write_raw("/a", STRING, claim, 1)
+    (tmp_path / "claims.mcap").replace(next(bag.glob("*.mcap")))
+    with open_log(bag) as log:
+        assert list(log.messages()) == []
+        assert log.damage is not None and "larger than all memory" in log.damage
+
+
 def test_a_full_disk_for_what_is_unpacked_is_told_by_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bag itself can be read."""
 

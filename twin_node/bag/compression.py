@@ -104,9 +104,10 @@ class UnpackedMessages:
         for record in self._storage.records(part, topics, start, stop):
             try:
                 yield replace(record, data=self._decompressor.decompress(record.data))
-            except ZstdError as error:
+            except (ZstdError, MemoryError) as error:  # its head says how much memory it wants
+                why = str(error) or "it says that it is larger than all memory"
                 raise DamageError(
-                    f"{self._path}: message on {record.topic} at {record.stamp} ns cannot be decompressed ({error}); "
+                    f"{self._path}: message on {record.topic} at {record.stamp} ns cannot be decompressed ({why}); "
                     "read up to it"
                 ) from None
 

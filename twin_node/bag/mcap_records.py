@@ -10,8 +10,9 @@ from struct import error as StructError
 from typing import BinaryIO
 
 from mcap.exceptions import McapError
-from mcap.records import Chunk, Header, McapRecord, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from zstandard import ZstdError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -25,6 +26,9 @@ CHUNK_FIELDS_BYTES = 8 + 8 + 8 + 4 + 4 + 8
 """Of a chunk's content all but its data and the name of its compression."""
 STRING_HEAD_BYTES = 4
 """Before a string: its length."""
+MOST_CHUNK_BYTES = 1 << 30
+"""Of a chunk's content; writers close theirs after some megabytes. A few damaged bytes must not take all memory."""
+ZEROS = "found zeros in place of a record"
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ def frames(file: BinaryIO, start: int, stop: int) -> Iterator[Frame]:
         opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
         frame = Frame(opcode, start, start + RECORD_HEAD.size + length)
         if not opcode:
-            raise ValueError("found zeros in place of a record")
+            raise ValueError(ZEROS)
         if frame.end > stop:
             raise EOFError
         yield frame
@@ -83,8 +87,26 @@ def opened(record: McapRecord, size: int) -> list[McapRecord]:
     filled = RECORD_HEAD.size + CHUNK_FIELDS_BYTES + len(record.compression.encode()) + len(record.data)
     if filled > size or (filled < size and not record.data):
         raise ValueError("a chunk's data is not as long as the chunk")
-    contents: list[McapRecord] = breakup_chunk(record, validate_crc=True)
-    return contents
+    if record.uncompressed_size > MOST_CHUNK_BYTES:
+        raise ValueError(f"a chunk says that it holds {record.uncompressed_size} bytes")
+    return list(_contents(record))
+
+
+def _contents(chunk: Chunk) -> Iterator[McapRecord]:
+    """As the mcap package's `breakup_chunk`, which passes over zeros nine by nine and without a word."""
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    while stream.count < length:
+        opcode, size = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            yield Message.read(stream, size)
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(stream)
+        elif opcode == Opcode.SCHEMA:
+            yield Schema.read(stream)
+        elif opcode:
+            stream.read(size)
+        else:
+            raise ValueError(ZEROS)
 
 
 def messages_in(data: bytes) -> Iterator[Message]:
