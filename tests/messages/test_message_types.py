@@ -113,6 +113,19 @@ def test_new_types_and_idl_are_taken_from_definitions() -> None:
     assert types.message_type("mine/msg/Point")(x=1.5).x == 1.5
 
 
+@pytest.mark.parametrize(
+    "text", ["string data\nstring data\n", "uint8 A=1\nuint8 A=2\nstring b\n", "Bad inner\n", "Bad[] inner\n"]
+)
+def test_a_definition_that_none_can_have_leaves_the_rest(text: str) -> None:
+    """Damaged logs bring such: names that come twice, types within themselves."""
+    given = {"std_msgs/msg/String": text, "mine/msg/Bad": text, "mine/msg/Good": "uint8 a\n"}
+    types = builtin_types().extended(given)
+    assert "mine/msg/Bad" not in types
+    assert "mine/msg/Good" in types
+    message = types.deserialize(serialize(message_type("std_msgs/msg/String")(data="as ever")), "std_msgs/msg/String")
+    assert message.data == "as ever"
+
+
 def test_a_definition_that_cannot_be_parsed_leaves_the_rest() -> None:
     types = builtin_types().extended({"mine/msg/Bad": "this is no definition at all {"})
     assert "mine/msg/Bad" not in types

@@ -94,21 +94,24 @@ class MessageTypes:
     def extended(self, definitions: Mapping[str, str]) -> MessageTypes:
         """This set and the types of `definitions` (name to `ros2msg` or IDL text), which win over equal names here.
 
-        A definition that cannot be parsed, or that uses types that are nowhere defined, is left out: its type is then
-        unknown unless it is in this set.
+        A definition that cannot be parsed, that uses types that are nowhere defined or itself, or that has a name twice
+        is left out: its type is then unknown unless it is in this set.
         """
-        store = Typestore()
-        store.fielddefs.update(self._store.fielddefs)
-        store.types.update(self._store.types)
+        store = _copy(self._store)
         for name, text in definitions.items():
             if name in self and text == self.definition(name):
                 continue
+            tried = _copy(store)
             try:
                 parsed = _parse(name, text)
-            except (TypesysError, KeyError, IndexError, ValueError):
+                if not _complete(tried, parsed):
+                    continue
+                _replace(tried, parsed)
+                for one in parsed:
+                    tried.hash_rihs01(one)
+            except (TypesysError, KeyError, IndexError, ValueError, SyntaxError, RecursionError):
                 continue
-            if _complete(store, parsed):
-                _replace(store, parsed)
+            store = tried
         return MessageTypes(store, fallback=self)
 
     def _require(self, name: str) -> None:
@@ -117,6 +120,13 @@ class MessageTypes:
                 f"{name}: unknown message type; expected a name like sensor_msgs/msg/Image from the ROS 2 Jazzy set or "
                 f"{OWN_PACKAGE}; add its definition to msgs/msg or check the spelling"
             )
+
+
+def _copy(store: Typestore) -> Typestore:
+    copied = Typestore()
+    copied.fielddefs.update(store.fielddefs)
+    copied.types.update(store.types)
+    return copied
 
 
 def _parse(name: str, text: str) -> Typesdict:
