@@ -9,22 +9,6 @@ import select
 import sys
 
 from twin_node import __version__
-from twin_node.cli.bag import add_play, add_record
-from twin_node.cli.bake import add_bake
-from twin_node.cli.bench import add_bench
-from twin_node.cli.calibrate import add_calibrate
-from twin_node.cli.doctor import add_doctor
-from twin_node.cli.export import add_export
-from twin_node.cli.imports import add_import
-from twin_node.cli.launch import add_launch
-from twin_node.cli.logs import add_check, add_info
-from twin_node.cli.render import add_render
-from twin_node.cli.replay import add_demo, add_replay
-from twin_node.cli.sim import add_sim
-from twin_node.cli.train import add_train
-from twin_node.cli.ur_driver import add_ur_driver
-from twin_node.cli.ur_sim import add_ur_sim
-from twin_node.cli.view import add_view
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 
@@ -47,7 +31,9 @@ def main(arguments: list[str] | None = None) -> int:
     except TwinError as error:
         print(f"twin_node: error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        if not _is_interrupted(error):
+            raise
         print("twin_node: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
@@ -66,6 +52,13 @@ def main(arguments: list[str] | None = None) -> int:
     return status if isinstance(status, int) else 0
 
 
+def _is_interrupted(error: BaseException | None) -> bool:
+    """Whether it is an interrupt, or comes of one: compiled modules make an `ImportError` of one while they load."""
+    while not (error is None or isinstance(error, KeyboardInterrupt)):
+        error = error.__cause__
+    return error is not None
+
+
 def _is_unread() -> bool:
     """Whether nobody reads the output any more; what waits for it is thrown away then."""
     output, poll = sys.stdout.fileno(), select.poll()
@@ -82,6 +75,24 @@ def _throw_output_away() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
+    # Loaded here, where an interrupt meanwhile ends like one later.
+    from twin_node.cli.bag import add_play, add_record
+    from twin_node.cli.bake import add_bake
+    from twin_node.cli.bench import add_bench
+    from twin_node.cli.calibrate import add_calibrate
+    from twin_node.cli.doctor import add_doctor
+    from twin_node.cli.export import add_export
+    from twin_node.cli.imports import add_import
+    from twin_node.cli.launch import add_launch
+    from twin_node.cli.logs import add_check, add_info
+    from twin_node.cli.render import add_render
+    from twin_node.cli.replay import add_demo, add_replay
+    from twin_node.cli.sim import add_sim
+    from twin_node.cli.train import add_train
+    from twin_node.cli.ur_driver import add_ur_driver
+    from twin_node.cli.ur_sim import add_ur_sim
+    from twin_node.cli.view import add_view
+
     parser = argparse.ArgumentParser(prog="twin_node", description="A live 4D Gaussian twin of a robot cell.")
     parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
