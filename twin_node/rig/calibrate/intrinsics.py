@@ -1,4 +1,4 @@
-"""Calibrates one lens from pictures of a board (Zhang's method, `cv2.calibrateCamera` and `cv2.fisheye.calibrate`)."""
+"""Calibrates one lens from pictures of a board: a plain lens first, then bundle adjustment of all that it has."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import transform
+from twin_node.geometry import rotation_from_quat, transform
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
 from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
 from twin_node.rig.calibrate.course import still_course
+from twin_node.rig.calibrate.lens_start import LensStart, lens_start
 from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
 from twin_node.rig.calibrate.objections import view_objection
 from twin_node.rig.errors import RigError
@@ -48,7 +48,8 @@ START_ROUNDS = 4
 COVERAGE_CELLS = (6, 8)
 """Rows and columns of cells that coverage is counted in."""
 
-STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-9)
+MOST_OPEN = 0.1
+"""1 sigma of the focal length, as a share of it, beyond which the views leave it open."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,9 @@ def calibrate_lens(
     """
     if model not in COEFFICIENTS:
         raise RigError(f"distortion model: expected one of {', '.join(COEFFICIENTS)}, found {model!r}")
-    used, dropped = _usable(board, [_flat(board, view, size) for view in views], "too few corners that lie on a plane")
+    unlike, twice = _unlike(views)
+    used, dropped = _usable(board, [_flat(board, view, size) for view in unlike], "too few corners that lie on a plane")
+    dropped += twice
     for _ in range(START_ROUNDS):
         if len(used) < MIN_VIEWS:
             raise RigError(
@@ -124,11 +127,19 @@ def calibrate_lens(
     else:
         solution = _solve(board, used, size, model, source)
     calibration = _refined(board, used, solution, dropped)
-    if (objection := view_objection(calibration.lens)) is not None:
+    _check_told(calibration, source)
+    return calibration
+
+
+def _check_told(calibration: LensCalibration, source: str) -> None:
+    lens, sigma = calibration.lens, float(calibration.sigmas[0])
+    objection = view_objection(lens)
+    if objection is None and sigma > MOST_OPEN * lens.K[0, 0]:
+        objection = f"expected a focal length told to {100 * MOST_OPEN:g} %, found {lens.K[0, 0]:.0f} +- {sigma:.0f} px"
+    if objection is not None:
         raise RigError(
             f"{source}: {objection}: the views leave it open; take pictures of the board tilted to all sides"
         )
-    return calibration
 
 
 def usable(board: Board, corners: Corners) -> bool:
@@ -156,13 +167,11 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
 
 
 def _refined(
-    board: Board, views: Sequence[BoardView], start: _Solution, dropped: Sequence[DroppedView]
+    board: Board, views: Sequence[BoardView], start: LensStart, dropped: Sequence[DroppedView]
 ) -> LensCalibration:
     """The lens by bundle adjustment, which also tells how sure it is, over a flat board or one that is not."""
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
-    course = still_course(start.poses)
-    state = BundleState(np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)))
-    bundle = solve_bundle(state, sightings, BundleOptions())
+    bundle = _bundle(board, views, start)
     bent = solve_bundle(bundle.state, sightings, BundleOptions(board=True))
     bundle = bent if board_pays(bundle, bent) else bundle
     return LensCalibration(
@@ -174,11 +183,18 @@ def _refined(
     )
 
 
-@dataclass(frozen=True)
-class _Solution:
-    lens: Lens
-    poses: Float64
-    """[V, 4, 4] board to optical frame, per view."""
+def _unlike(views: Sequence[BoardView]) -> tuple[list[BoardView], list[DroppedView]]:
+    """The views without copies of others: a copy would count as a second witness."""
+    first: dict[bytes, str] = {}
+    kept, dropped = [], []
+    for view in views:
+        told = view.corners.ids.tobytes() + view.corners.pixels.tobytes()
+        if told in first:
+            dropped.append(DroppedView(view.name, f"the same picture as {first[told]}"))
+        else:
+            first[told] = view.name
+            kept.append(view)
+    return kept, dropped
 
 
 def _flat(board: Board, view: BoardView, size: tuple[int, int]) -> BoardView:
@@ -208,49 +224,22 @@ def _usable(board: Board, views: Sequence[BoardView], reason: str) -> tuple[list
     return used, [DroppedView(view.name, reason) for view in views if not usable(board, view.corners)]
 
 
-def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str, source: str) -> _Solution:
-    solve = _solve_fisheye if model == "equidistant" else _solve_pinhole
-    try:
-        return solve(board, views, size, model)
-    except cv2.error as error:
-        reason = " ".join(str(error.err or error).split())
-        raise RigError(
-            f"{source}: expected views that determine a {model} lens, found that they do not ({reason}); "
-            "take pictures of the board tilted to all sides"
-        ) from error
+def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str, source: str) -> LensStart:
+    """The lens and the poses that fit a flat board, some of whose corners may be wrong."""
+    start = lens_start(board, [view.corners for view in views], size, model, source)
+    state = _bundle(board, views, start).state
+    T = np.tile(np.eye(4), (len(views), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = rotation_from_quat(state.course.quats), state.course.positions
+    return LensStart(state.lenses[0], T)
 
 
-def _solve_pinhole(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str) -> _Solution:
-    objects = [board.points[view.corners.ids].astype(np.float32)[:, None] for view in views]
-    pixels = [view.corners.pixels.astype(np.float32)[:, None] for view in views]
-    flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
-    _, K, D, rotations, translations = cv2.calibrateCamera(
-        objects, pixels, size, np.eye(3), np.zeros(5), flags=flags, criteria=STOP
-    )
-    count = COEFFICIENTS[model]
-    lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel()[:count])
-    return _Solution(lens, _poses(rotations, translations))
+def _bundle(board: Board, views: Sequence[BoardView], start: LensStart) -> BundleResult:
+    sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
+    state = BundleState(np.eye(4)[None], still_course(start.poses), (start.lens,), board.points, np.zeros((1, 2)))
+    return solve_bundle(state, sightings, BundleOptions())
 
 
-def _solve_fisheye(board: Board, views: Sequence[BoardView], size: tuple[int, int], model: str) -> _Solution:
-    objects = [board.points[view.corners.ids][None] for view in views]
-    pixels = [view.corners.pixels[None] for view in views]
-    flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW
-    _, K, D, rotations, translations = cv2.fisheye.calibrate(
-        objects, pixels, size, np.eye(3), np.zeros(4), flags=flags, criteria=STOP
-    )
-    lens = Lens(*size, np.asarray(K, np.float64), model, np.asarray(D, np.float64).ravel())
-    return _Solution(lens, _poses(rotations, translations))
-
-
-def _poses(rotations: Sequence[object], translations: Sequence[object]) -> Float64:
-    T = np.tile(np.eye(4), (len(rotations), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(np.asarray(rotations, np.float64).reshape(-1, 3)).as_matrix()
-    T[:, :3, 3] = np.asarray(translations, np.float64).reshape(-1, 3)
-    return T
-
-
-def _residuals(board: Board, views: Sequence[BoardView], solution: _Solution) -> list[Float64]:
+def _residuals(board: Board, views: Sequence[BoardView], solution: LensStart) -> list[Float64]:
     return [
         view.corners.pixels - project(solution.lens, transform(T, board.points[view.corners.ids])).pixels
         for view, T in zip(views, solution.poses, strict=True)

@@ -20,6 +20,10 @@ HELD = 1e-6
 """Weight with which inner unknowns are held that nothing speaks of: a board's course where all images were misread."""
 
 
+LEAST_TOLD = 1e-13
+"""Share of an unknown's own weight that is left when all others are free, below which it is rounding."""
+
+
 class NormalEquations:
     """J^T J and J^T r, summed up block by block."""
 
@@ -72,8 +76,11 @@ class NormalEquations:
         return np.asarray(reach[:, -1] - reach[:, :-1] @ outer), outer
 
     def outer_covariance(self) -> Float64:
-        """[outer, outer] inverse of the Schur complement."""
+        """[outer, outer] inverse of the Schur complement; what rounding leaves of an unknown is open, not certain."""
         A, B, C = self._A.T.copy(), self._B[:, :-1], self._C[:-1, :-1]
         A[0] += HELD
         reach = cho_solve_banded((cholesky_banded(A, lower=True), True), B)
-        return np.asarray(np.linalg.pinv(C - B.T @ reach, hermitian=True))
+        scale = np.sqrt(np.maximum(np.diag(C), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh((C - B.T @ reach) / scale[:, None] / scale)
+        spread = vectors / np.sqrt(np.maximum(values, LEAST_TOLD)) / scale[:, None]
+        return np.asarray(spread @ spread.T)
