@@ -56,8 +56,11 @@ def test_refine_of_a_log_with_depth(
     save_rig(replace(first, evidence=(of_a_board,) * len(first.rig.cameras)), tmp_path / "board.yaml")
     given = ["--rig", str(tmp_path / "board.yaml")]
     assert main(["calibrate", "refine", str(cell_log(1.2)), *given, "-o", str(out)]) == 0
-    clocks_alone = CameraEvidence(time_offset_sigma=0.001, time_rate_sigma_ppm=5.0)
-    assert load_rig(out).evidence == (clocks_alone,) * len(first.rig.cameras)  # poses and lenses are others now
+    for camera, now in zip(first.rig.cameras, load_rig(out).evidence, strict=True):  # poses and lenses are others now
+        assert now is not None and now.pose_covariance is not None
+        assert np.sqrt(np.diag(now.pose_covariance)[:3]).max() < 0.02, camera.name
+        clock_alone = CameraEvidence(time_offset_sigma=0.001, time_rate_sigma_ppm=5.0)
+        assert replace(now, pose_covariance=None) == clock_alone
 
 
 def test_refine_times_the_clocks_too(

@@ -199,9 +199,10 @@ def _refine(options: argparse.Namespace) -> None:
         sought = options.plane == "auto" and not measured_by_depth(stills)
         result = refine_rig(rig, stills, _plane(stills) if sought else None)
         given = _given(options, rig)
-        lines = _refine_lines(result, [camera.name for camera in rig.cameras])
+        lines = _refine_lines(result)
         notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
-        evidence = tuple(_of_the_clock(one) for one in given.evidence)
+        clocks = given.evidence or (None,) * len(rig.cameras)
+        evidence = tuple(_refined(*both) for both in zip(clocks, result.pose_covariances, strict=True))
         refined = replace(given, rig=result.rig, date=_today(), notes=notes, evidence=evidence)
         figures: dict[str, object] = _refine_figures(result)
         warnings = list(result.skipped)
@@ -219,19 +220,21 @@ def _refine(options: argparse.Namespace) -> None:
     print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
 
 
-def _of_the_clock(evidence: CameraEvidence | None) -> CameraEvidence | None:
-    """What is known of a camera's clock; how well a board told its pose and lens says nothing of others."""
+def _refined(evidence: CameraEvidence | None, pose_covariance: Float64) -> CameraEvidence:
+    """What is known of a refined camera; how well a board told its pose and lens says nothing of others."""
     from twin_node.rig.evidence import CameraEvidence
 
-    if evidence is None or evidence.time_offset_sigma is None:
-        return None
+    clock = evidence or CameraEvidence()
     return CameraEvidence(
-        time_offset_sigma=evidence.time_offset_sigma, time_rate_sigma_ppm=evidence.time_rate_sigma_ppm
+        pose_covariance=pose_covariance,
+        time_offset_sigma=clock.time_offset_sigma,
+        time_rate_sigma_ppm=clock.time_rate_sigma_ppm,
     )
 
 
-def _refine_lines(result: RefineResult, names: Sequence[str]) -> list[str]:
-    """How far each two cameras disagreed and disagree, to read."""
+def _refine_lines(result: RefineResult) -> list[str]:
+    """How far each two cameras disagreed and disagree, and what is left open of each, to read."""
+    names = [camera.name for camera in result.rig.cameras]
     pairs = [
         f"{pair.a} and {pair.b}: epipolar {pair.epipolar_before_px:.2f} to {pair.epipolar_after_px:.2f} px{_gap(pair)}"
         for pair in result.pairs
@@ -241,7 +244,8 @@ def _refine_lines(result: RefineResult, names: Sequence[str]) -> list[str]:
         f"apart, told to {1e3 * pair.open_m:.1f} mm"
         for pair in result.surfaces
     ]
-    return pairs + surfaces
+    told = [f"{camera.name}: told to {1e3 * camera.sigma_m:.1f} mm" for camera in result.rig.cameras]
+    return [*pairs, *surfaces, *told]
 
 
 def _time(options: argparse.Namespace) -> None:

@@ -97,6 +97,8 @@ class DepthAlignment:
 
     T_base_cam: Float64
     """[C, 4, 4]."""
+    covariance: Float64
+    """[6 C, 6 C] of turns about the base's axes (rad) and moves along them (m), camera by camera."""
     pairs: tuple[SurfacePair, ...]
 
 
@@ -145,7 +147,7 @@ def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float
             f"refine: expected a rig near the one given, at most {MOST_STRAIN:g} sigma away, found one at "
             f"{strain:.1f}: are the poses given right to a degree or two? Else use a board"
         )
-    return DepthAlignment(best.poses, pairs)
+    return DepthAlignment(best.poses, covariance, pairs)
 
 
 @dataclass(frozen=True)

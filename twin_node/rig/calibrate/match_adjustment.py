@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -50,6 +51,9 @@ class Adjusted:
     """[4] unit normal, offset in m."""
     strain: float = 0.0
     """Largest change of any number, in its own sigmas."""
+    covariance: Float64 | None = None
+    """[n, n] of the cameras' turns, moves and lenses, in the columns of `match_slopes.Slopes`, camera by camera; None
+    before anything was adjusted. What matches do not tell is as open as the rig given was."""
 
 
 def adjust_matches(
@@ -68,7 +72,11 @@ def adjust_matches(
         xtol=1e-6,
         max_nfev=40,
     )
-    return replace(problem.state(solved.x), strain=float(np.abs(solved.x).max()))
+    return replace(
+        problem.state(solved.x),
+        strain=float(np.abs(solved.x).max()),
+        covariance=problem.covariance(solved.x, np.asarray(solved.jac)),
+    )
 
 
 class MatchProblem:
@@ -116,10 +124,7 @@ class MatchProblem:
     def jacobian(self, x: Float64) -> Float64:
         """[R, size] of the residuals."""
         state = self.state(x)
-        by_unknowns = [
-            _by_unknowns(camera, x[start : start + len(sigmas)] * sigmas) * sigmas
-            for camera, sigmas, start in zip(self._cameras, self._sigmas, self._starts[:-1], strict=True)
-        ]
+        by_unknowns = self._by_all(x)
         if self._plane is not None:
             by_tilt = _tilts(self._plane, x[-3:] * PLANE_SIGMA, self._cameras) * PLANE_SIGMA
         out = [np.eye(self.size)]
@@ -142,6 +147,20 @@ class MatchProblem:
                 out.append(rows / noise)
         bounded = np.abs(self.residuals(x)) >= MOST_SIGMAS
         return np.where(bounded[:, None], 0.0, np.concatenate(out))
+
+    def covariance(self, x: Float64, jac: Float64) -> Float64:
+        """[n, n] of all cameras (`Adjusted.covariance`) about a solution; `jac` [R, size] as SciPy bends it."""
+        by_unknowns = block_diag(*self._by_all(x))
+        cameras = int(self._starts[-1])
+        spread = np.linalg.inv(jac.T @ jac)[:cameras, :cameras]
+        return np.asarray(by_unknowns @ spread @ by_unknowns.T)
+
+    def _by_all(self, x: Float64) -> list[Float64]:
+        """Per camera: [6 + 4 + D, 6 + 3 + 4] of the columns of `Slopes` by its unknowns."""
+        return [
+            _by_unknowns(camera, x[start : start + len(sigmas)] * sigmas) * sigmas
+            for camera, sigmas, start in zip(self._cameras, self._sigmas, self._starts[:-1], strict=True)
+        ]
 
 
 def _sigmas(camera: RigCamera, parameters: AdjustParameters) -> Float64:

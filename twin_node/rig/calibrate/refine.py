@@ -13,6 +13,7 @@ from twin_node.rig.calibrate.depth_alignment import SurfacePair, align, surface_
 from twin_node.rig.calibrate.ground_matches import agreed_map, measured
 from twin_node.rig.calibrate.match_adjustment import Adjusted, AdjustParameters, adjust_matches
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
+from twin_node.rig.calibrate.refine_doubt import Doubt, doubt_of, witnesses_of
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
 from twin_node.rig.undistort import Undistorter
@@ -79,6 +80,9 @@ class RefineResult:
     pairs: tuple[PairFigures, ...]
     skipped: tuple[str, ...]
     """Pairs of cameras that told nothing, and why."""
+    pose_covariances: Float64
+    """[C, 6, 6] of `T_base_cam`: position (m), turns about the base's axes (rad), without what moves the rig as a
+    whole. What nothing told is as open as the rig given was taken to be."""
     surfaces: tuple[SurfacePair, ...] = ()
     """How cameras that measure depth agree; `pairs` is empty then."""
 
@@ -107,7 +111,10 @@ def refine_rig(
         now = adjust_matches(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
     _check_believable(now, figures, parameters, seen.pixel_m)
-    return RefineResult(_with_sigmas(rig, now, figures), now.plane, figures, seen.skipped)
+    assert now.covariance is not None  # of what was adjusted
+    doubt = doubt_of(now.cameras, now.covariance, witnesses_of(now.cameras, matches))
+    refined = _with_sigmas(rig, now.cameras, figures, doubt)
+    return RefineResult(refined, now.plane, figures, seen.skipped, doubt.pose_covariances)
 
 
 def measured_by_depth(stills: Sequence[Still]) -> bool:
@@ -126,7 +133,8 @@ def _by_depth(rig: Rig, stills: Sequence[Still], parameters: RefineParameters) -
     for i, camera in enumerate(rig.cameras):
         off = [max(pair.after_m, pair.open_m) for pair in found.pairs if i in (pair.a, pair.b)]
         cameras.append(replace(camera, T_base_cam=found.T_base_cam[i], sigma_m=max(LEAST_SIGMA_M, *off)))
-    return RefineResult(replace(rig, cameras=tuple(cameras)), None, (), (), found.pairs)
+    doubt = doubt_of(cameras, found.covariance, np.zeros((0, 3)))
+    return RefineResult(replace(rig, cameras=tuple(cameras)), None, (), (), doubt.pose_covariances, found.pairs)
 
 
 @dataclass(frozen=True)
@@ -262,11 +270,10 @@ def _median_gap(cameras: Sequence[RigCamera], plane: Float64 | None, pairs: Sequ
     return float(np.nanmedian(np.concatenate(gaps)))
 
 
-def _with_sigmas(rig: Rig, now: Adjusted, figures: Sequence[PairFigures]) -> Rig:
-    """The refined rig, each camera with the error that its pairs still show on the plane."""
+def _with_sigmas(rig: Rig, refined: Sequence[RigCamera], figures: Sequence[PairFigures], doubt: Doubt) -> Rig:
+    """The refined rig, each camera with the error that its pairs still show on the plane, or what is left open."""
     cameras = []
-    for camera in now.cameras:
+    for camera, open_m in zip(refined, doubt.sigmas_m.tolist(), strict=True):
         gaps = [f.plane_after_m for f in figures if camera.name in (f.a, f.b) and f.plane_after_m is not None]
-        sigma = max(LEAST_SIGMA_M, *gaps) if gaps else camera.sigma_m
-        cameras.append(replace(camera, sigma_m=sigma))
+        cameras.append(replace(camera, sigma_m=max(LEAST_SIGMA_M, open_m, *gaps)))
     return replace(rig, cameras=tuple(cameras))

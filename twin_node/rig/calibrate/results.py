@@ -232,9 +232,17 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
             moves[i, ..., bundle.layout.lens(i)] = projection.by_lens * to_metres
         by_place = by_point @ T[:3, :3]
         rigid[i] = np.concatenate([by_place, by_place @ turns], axis=2)
-    A, G = moves.reshape(-1, moves.shape[-1]), rigid.reshape(-1, 6)
+    return sight_sigmas(moves, rigid, bundle.covariance)
+
+
+def sight_sigmas(moves: Float64, shared: Float64, covariance: Float64) -> Float64:
+    """[C] root mean variance of what C cameras see of W points, without what they share, in units of `moves`.
+
+    `moves` [C, W, 2, n]: by the unknowns of `covariance` [n, n]; `shared` [C, W, 2, 6]: by a motion of all points.
+    """
+    A, G = moves.reshape(-1, moves.shape[-1]), shared.reshape(-1, shared.shape[-1])
     A = A - G @ np.linalg.lstsq(G, A, rcond=None)[0]
-    variances = np.einsum("ij,jk,ik->i", A, bundle.covariance, A).reshape(cameras, -1)
+    variances = np.einsum("ij,jk,ik->i", A, covariance, A).reshape(len(moves), -1)
     return np.asarray(np.sqrt(variances.mean(axis=1)))
 
 
