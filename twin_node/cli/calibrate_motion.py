@@ -157,8 +157,9 @@ def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) 
 
     camera = replace(result.camera, T_base_cam=result.T_carrier_camera, sigma_m=result.sigma_m)
     notes = (
-        f"Hand-eye calibration: mean reprojection {result.mean_px:.3f} px, median {result.median_px:.3f} px, target at "
-        f"{100 * result.target_scale:.2f} % of the size given, views dropped: {', '.join(result.dropped) or 'none'}."
+        f"Hand-eye calibration: camera's place +- {1000 * result.sigma_m:.1f} mm, mean reprojection "
+        f"{result.mean_px:.3f} px, median {result.median_px:.3f} px, target at {100 * result.target_scale:.2f} % of "
+        f"the size given, views dropped: {', '.join(result.dropped) or 'none'}."
     )
     if together is not None:
         notes = f"Tied to the robot by camera {camera.name}. {notes} {together.notes}".strip()

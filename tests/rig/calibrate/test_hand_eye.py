@@ -116,6 +116,29 @@ def test_the_stated_error_covers_what_an_imprecise_arm_does(mount: Mount) -> Non
     assert np.median(ratios) > 0.2
 
 
+@pytest.mark.parametrize("mount", Mount)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_mistyped_poses_are_dropped_and_named_however_gross(mount: Mount, seed: int) -> None:
+    """Two of twelve; the fit of all stops gave way to them, and the session was refused."""
+    rng = np.random.default_rng(seed)
+    X, views = session(rng, OBLONG, mount, noise_px=0.2, stops=12)
+    wrong = sorted(rng.choice(12, 2, replace=False).tolist())
+    for i in wrong:
+        views[i] = replace(views[i], T_base_flange=views[i].T_base_flange @ rigid(rng, 0.5, 0.2))
+    result = solve_hand_eye(CAMERA, OBLONG, views, mount, FIXED, numbered=True)
+    assert result.dropped == tuple(f"stop {i}" for i in wrong)
+    assert np.linalg.norm(result.T_carrier_camera[:3, 3] - X[:3, 3]) < 0.002
+
+
+def test_pictures_taken_again_without_a_move_are_one_witness() -> None:
+    _, views = session(np.random.default_rng(1), OBLONG, Mount.CAMERA, noise_px=0.2, stops=8)
+    once = solve_hand_eye(CAMERA, OBLONG, views, Mount.CAMERA, FIXED, numbered=True)
+    thrice = solve_hand_eye(CAMERA, OBLONG, views * 3, Mount.CAMERA, FIXED, numbered=True)
+    assert thrice.sigma_m == pytest.approx(once.sigma_m, rel=0.05)
+    with pytest.raises(RigError, match="expected stops at 4 different poses at least, found 3 in 9 pictures"):
+        solve_hand_eye(CAMERA, OBLONG, views[:3] * 3, Mount.CAMERA, FIXED, numbered=True)
+
+
 def test_a_square_grid_may_be_numbered_from_any_corner() -> None:
     rng = np.random.default_rng(5)
     X, views = session(rng, SQUARE, Mount.CAMERA)

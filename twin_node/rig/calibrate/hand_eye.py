@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
-from twin_node.rig.calibrate.hand_eye_start import Stops, numbered_alike
+from twin_node.rig.calibrate.hand_eye_start import Loop, Stops, closed_form, numbered_alike, offsets
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float64, RigCamera
+from twin_node.scene import Bool, Float64, RigCamera
 
 MIN_VIEWS = 4
 """Three motions are the least that tell the poses and leave something to check them by."""
@@ -31,6 +31,8 @@ MIN_AXES_SPREAD = 0.02
 """Second-largest share of the axes of turns: below it (8 degrees) the robot has turned about one axis alone."""
 OUTLIER = 2.5
 """A view whose mean error is so many times the median view's is left out: its pose or its picture is wrong."""
+GROSS = 20.0
+"""The same before anything is fitted: a closed form is rough, but a fit gives way to a pose that was mistyped."""
 MOST_OFF = 0.003
 """Half of all corners fit within this share of the focal length (0.17 degrees): an arm whose stops are true to 2 mm and
 0.2 degrees leaves a third of it, another mount than said, or other units, twice as much and more."""
@@ -116,18 +118,19 @@ def solve_hand_eye(
     contradict each other.
     """
     parameters = parameters or HandEyeParameters()
-    _check(target, views)
     G = [inverse_pose(v.T_base_flange) if mount is Mount.CAMERA else v.T_base_flange for v in views]
+    _check(target, views)
     stops = Stops(np.stack(G), np.stack([view.pixels for view in views]))
+    _check_places(stops)
     if not numbered:
         stops = numbered_alike(camera, target, stops)
-    solution = HandEyeFit(camera, target, stops, parameters).solve()
-    worst = np.nanmean(solution.errors, axis=1)
-    kept = worst <= OUTLIER * np.median(worst)
-    if not kept.all() and kept.sum() >= MIN_VIEWS:
+    kept = _agreeing(_errors(camera, target, stops, closed_form(camera, target, stops)), GROSS)
+    solution = HandEyeFit(camera, target, stops.chosen(kept), parameters).solve()
+    errors = _errors(solution.camera, target * solution.scale, stops, solution.loop)
+    agreeing = _agreeing(errors, OUTLIER)
+    if (agreeing != kept).any():
+        kept = agreeing
         solution = HandEyeFit(camera, target, stops.chosen(kept), parameters).solve()
-    else:
-        kept = np.ones(len(views), dtype=bool)
     refined, X = solution.camera, solution.loop.X
     result = HandEyeResult(
         mount,
@@ -143,6 +146,17 @@ def solve_hand_eye(
     return result
 
 
+def _errors(camera: RigCamera, target: Float64, stops: Stops, loop: Loop) -> Float64:
+    """[N] mean reprojection error of every stop, pixels."""
+    return np.asarray(np.nanmean(np.linalg.norm(offsets(camera, target, stops, loop), axis=2), axis=1))
+
+
+def _agreeing(errors: Float64, most: float) -> Bool:
+    """[N] which stops are at most so many times as far off as the median one; all where too few would be left."""
+    kept = np.asarray(errors <= most * np.median(errors))
+    return kept if kept.sum() >= MIN_VIEWS else np.ones(len(errors), dtype=bool)
+
+
 def _check_fit(result: HandEyeResult, camera: RigCamera) -> None:
     if result.median_px <= MOST_OFF * camera.K[0, 0] and result.sigma_m <= MOST_SIGMA_M:
         return
@@ -152,6 +166,14 @@ def _check_fit(result: HandEyeResult, camera: RigCamera) -> None:
         f"corners {result.median_px:.1f} px off{place}; check --mount, the lens, and that each pose is its picture's "
         "and maps the flange to the base (m; qx, qy, qz, qw)"
     )
+
+
+def _check_places(stops: Stops) -> None:
+    if (found := int(stops.places.max()) + 1) < MIN_VIEWS:
+        raise RigError(
+            f"hand-eye: expected stops at {MIN_VIEWS} different poses at least, found {found} in {len(stops.carried)} "
+            "pictures; add stops"
+        )
 
 
 def _check(target: Float64, views: Sequence[HandEyeView]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from twin_node.rig.calibrate.hand_eye_start import Loop, Stops, closed_form, offsets, seen_points
@@ -73,8 +74,8 @@ class HandEyeFit:
             x_scale="jac",
             max_nfev=MOST_STEPS,
         )
-        stops, points, _ = self._stops.pixels.shape
-        covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), stops, 2 * points)
+        rows = 2 * self._stops.pixels.shape[1]
+        covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), self._stops.places, rows)
         distances = np.linalg.norm(self._offsets(solved.x), axis=2)
         return HandEyeSolution(
             self._lens(solved.x), self._loop(solved.x), self._scale(solved.x), covariance[:6, :6], distances
@@ -129,20 +130,22 @@ class HandEyeFit:
         return Loop(moved(self._start.X, x[:6]), moved(self._start.Y, x[6:POSES]))
 
 
-def _covariance(jac: Float64, residuals: Float64, stops: int, rows: int) -> Float64:
+def _covariance(jac: Float64, residuals: Float64, places: NDArray[np.int64], rows: int) -> Float64:
     """[n, n] of a fit to the residuals [M] of stops, `rows` each, then of priors; `jac` [M, n] as SciPy bends it.
 
-    An arm that errs at a stop moves all corners there alike: stops count as one witness each, and their spread is what
-    the fit would leave over without them (the jackknife; MacKinnon and White, J. Econometrics 1985, HC3 by clusters).
+    An arm that errs at a place moves all corners there alike, in every picture that it waits for: `places` [stops]
+    count as one witness each, and their spread is what the fit would leave over without them (the jackknife; MacKinnon
+    and White, J. Econometrics 1985, HC3 by clusters).
     """
     bent = residuals * (1 + residuals**2) ** 0.25  # J^T bent is the slope of the soft L1 cost
     inverse = np.linalg.pinv(jac.T @ jac)
-    priors = jac[stops * rows :]
+    priors, count = jac[len(places) * rows :], int(places.max()) + 1
     spread = priors.T @ priors
-    for i in range(stops):
-        # Only within the reach of its rows, n dimensions at most, does it matter that a stop is away.
-        reach, own = np.linalg.qr(jac[i * rows : (i + 1) * rows])
+    for place in range(count):
+        # Only within the reach of its rows, n dimensions at most, does it matter that a place is away.
+        there = np.flatnonzero(np.repeat(places == place, rows))
+        reach, own = np.linalg.qr(jac[there])
         alone = np.eye(len(own)) - own @ inverse @ own.T
-        slope = own.T @ np.linalg.lstsq(alone, reach.T @ bent[i * rows : (i + 1) * rows], rcond=1e-9)[0]
-        spread += (stops - 1) / stops * np.outer(slope, slope)
+        slope = own.T @ np.linalg.lstsq(alone, reach.T @ bent[there], rcond=1e-9)[0]
+        spread += (count - 1) / count * np.outer(slope, slope)
     return np.asarray(inverse @ spread @ inverse)
