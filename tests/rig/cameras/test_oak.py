@@ -151,3 +151,10 @@ def test_wrong_settings_are_named() -> None:
         OakSource([FRONT, FRONT])
     with pytest.raises(RigError, match="front and left: expected a device each, found '14442C10' for both"):
         OakSource([OakCamera("front", "14442C10"), OakCamera("left", "14442C10")])
+
+
+def test_devices_that_chance_would_tell_apart_are_refused() -> None:
+    """Two cameras of one kind, swapped: each would stand where the other is, and nothing would show it."""
+    with pytest.raises(RigError, match="cameras front, left: expected `device` of all but one, found none"):
+        OakSource([FRONT, LEFT, OakCamera("right", "14442C10")])
+    OakSource([FRONT, OakCamera("right", "14442C10")]).close()

@@ -40,7 +40,7 @@ class OakCamera:
 
     name: str
     device: str = ""
-    """Its identifier or IP address; empty: the first device that no other camera of the rig has."""
+    """Its identifier or IP address; empty, of one camera of a rig: the first device that no other camera has."""
     width: int = 640
     height: int = 480
     fps: float = 30.0
@@ -102,7 +102,8 @@ class OakSource(ThreadedSource[OakCamera]):
     ) -> None:
         """`connect`: opens a camera's device, None where it is not there; the real ones by default.
 
-        Raises `RigError` for no cameras, equal names or devices, an unknown preset, and where depthai is not installed.
+        Raises `RigError` for no cameras, equal names or devices, several without a device, an unknown preset, and where
+        depthai is not installed.
         """
         super().__init__(cameras)
         for first, second in combinations(cameras, 2):
@@ -183,6 +184,13 @@ class _Devices:
     """The devices that are plugged in."""
 
     def __init__(self, dai: Any, cameras: Sequence[OakCamera]) -> None:
+        """Raises `RigError` where chance would decide which device is which camera, and so where each is said to be."""
+        unnamed = [camera.name for camera in cameras if not camera.device]
+        if len(unnamed) > 1:
+            raise RigError(
+                f"cameras {', '.join(unnamed)}: expected `device` of all but one, found none: devices come in any "
+                "order and would take each other's place in the rig; `twin_node doctor --devices` lists them"
+            )
         self._dai = dai
         self._named = {camera.device for camera in cameras if camera.device}
         self._taken: set[str] = set()
