@@ -55,6 +55,20 @@ def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:
         )
 
 
+def whole_coefficients(model: str, D: Float) -> Float:
+    """Distortion coefficients as the model takes them: other tools leave out zeros at the end, or write more of them.
+
+    OpenCV, for one, gives 14 of which it was asked for 8. What is left too long or too short is for `check_distortion`.
+    """
+    if model not in DISTORTION_LENGTHS:
+        return D
+    most = max(DISTORTION_LENGTHS[model])
+    known = np.trim_zeros(D, "b")
+    if len(known) > most or len(D) in DISTORTION_LENGTHS[model]:
+        return D
+    return np.concatenate([known, np.zeros(most - len(known))])
+
+
 def check_distortion(where: str, model: str, coefficients: Float) -> None:
     """Raises `RigError` for an unknown model or a wrong number of coefficients."""
     if model not in DISTORTION_LENGTHS:

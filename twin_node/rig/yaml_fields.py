@@ -96,6 +96,15 @@ class Fields:
             raise RigError(f"{self.where}.{key}: expected finite numbers, found {value!r}")
         return array
 
+    def list_of(self, key: str) -> NDArray[np.float64]:
+        """A field that holds a list of finite numbers of any length, or one row or column of them."""
+        value = self._required(key)
+        if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list):
+            value = value[0]
+        if isinstance(value, list) and all(isinstance(one, list) and len(one) == 1 for one in value):
+            value = [one[0] for one in value]
+        return Fields(self.where, {key: value}).array(key, None)
+
     def _required(self, key: str) -> object:
         value = self._data.get(key)
         if value is None:

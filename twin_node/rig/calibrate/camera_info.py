@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.errors import RigError
-from twin_node.rig.rig_checks import check_distortion, check_intrinsics
+from twin_node.rig.rig_checks import check_distortion, check_intrinsics, whole_coefficients
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64
 from twin_node.yaml_file import read_yaml, write_yaml
@@ -51,7 +51,8 @@ def load_camera_info(path: Path) -> CameraInfo:
     width, height = int(fields.number("image_width")), int(fields.number("image_height"))
     K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
     D = fields.table("distortion_coefficients").array("data", None)
-    model = fields.text("distortion_model")
+    model = fields.text("distortion_model") or "plumb_bob"  # drivers leave it empty where nothing is distorted
+    D = whole_coefficients(model, D)
     check_intrinsics(str(path), K, (width, height))
     check_distortion(str(path), model, D)
     R = _given(fields, "rectification_matrix", np.eye(3))

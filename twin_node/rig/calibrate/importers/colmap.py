@@ -51,19 +51,27 @@ def import_colmap(path: Path, unit: float = 1.0) -> RigFile:
     folder = path if path.is_dir() else path.parent
     model = read_model(folder)
     lenses = {camera.number: camera for camera in model.cameras}
-    cameras = []
-    for image in model.images:
+    cameras, names = [], _names([image.name for image in model.images])
+    for image, name in zip(model.images, names, strict=True):
         if image.camera not in lenses:
             raise RigError(
                 f"{image.where}: expected a camera of the model, found number {image.camera}; export both files "
                 "together"
             )
-        cameras.append(_camera(lenses[image.camera], image, unit))
+        cameras.append(_camera(lenses[image.camera], image, name, unit))
     notes = f"From COLMAP, whose scale is arbitrary: one unit is taken for {unit:g} m."
     return foreign_rig(str(folder), cameras, "world", notes)
 
 
-def _camera(lens: ColmapCamera, image: ColmapImage, unit: float) -> RigCamera:
+def _names(images: list[str]) -> list[str]:
+    """Of cameras: images' names, with their folders where each camera has one and its images are numbered alike."""
+    names = [Path(image).stem for image in images]
+    if len(set(names)) == len(names):
+        return names
+    return [Path(image).with_suffix("").as_posix().replace("/", "_") for image in images]
+
+
+def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> RigCamera:
     if lens.model not in MODELS:
         raise RigError(
             f"{lens.where}: expected one of {', '.join(MODELS)}, found {lens.model}; undistort the model with COLMAP"
@@ -78,4 +86,4 @@ def _camera(lens: ColmapCamera, image: ColmapImage, unit: float) -> RigCamera:
     # COLMAP's top-left pixel has its centre at (0.5, 0.5).
     K = pinhole(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
     T = from_world_to_camera(rotation_from_quat(image.pose[:4]), image.pose[4:] * unit)
-    return foreign_camera(image.where, Path(image.name).stem, lens.size, K, T, model.distortion, D)
+    return foreign_camera(image.where, name, lens.size, K, T, model.distortion, D)

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, pose
 from twin_node.rig.errors import RigError
-from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
+from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose, whole_coefficients
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera, as_camera_name
 
@@ -27,8 +27,7 @@ def foreign_camera(
     where: str, name: str, size: tuple[int, int], K: Float64, T_base_cam: Float64, model: str, D: Float64
 ) -> RigCamera:
     """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has."""
-    if not len(D):
-        model, D = "plumb_bob", np.zeros(5)
+    D = whole_coefficients(model, D)
     check_intrinsics(where, K, size)
     check_distortion(where, model, D)
     check_pose(where, T_base_cam)

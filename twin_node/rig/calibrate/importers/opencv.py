@@ -39,13 +39,19 @@ def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
     cameras = []
     for fields in Fields(str(path), data).entries("cameras"):
         width, height = fields.array("size", (2,)).astype(int).tolist()
-        D = fields.array("dist", None)
+        D = fields.list_of("dist")
         model = _model(D, fields.flag("fisheye"))
-        T = from_world_to_camera(fields.array("R", (3, 3)), fields.array("t", (3,)) * unit)
+        T = from_world_to_camera(fields.array("R", (3, 3)), _three(fields, "t") * unit)
         cameras.append(
             foreign_camera(fields.where, fields.text("name"), (width, height), fields.array("K", (3, 3)), T, model, D)
         )
     return cameras
+
+
+def _three(fields: Fields, key: str) -> Float64:
+    """[3] of a list, or of a column as OpenCV's own arrays are."""
+    found = fields.list_of(key)
+    return found if len(found) == 3 else fields.array(key, (3,))
 
 
 def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
@@ -78,4 +84,4 @@ def _matrix(path: Path, storage: cv2.FileStorage, key: str) -> Float64:
 def _model(D: Float64, is_fisheye: bool) -> str:
     if is_fisheye:
         return "equidistant"
-    return "plumb_bob" if len(D) <= 5 else "rational_polynomial"
+    return "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial"

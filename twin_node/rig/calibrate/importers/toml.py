@@ -46,7 +46,7 @@ def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
         (width, height),
         fields.array("matrix", (3, 3)),
         from_world_to_camera(_rotation(fields), translation),
-        "equidistant" if fisheye else "plumb_bob" if len(D) <= 5 else "rational_polynomial",
+        "equidistant" if fisheye else "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial",
         D,
     )
 
