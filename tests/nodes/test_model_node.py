@@ -209,10 +209,10 @@ class InTurn:
 
 
 @pytest.fixture
-def apart(monkeypatch: pytest.MonkeyPatch) -> InTurn:
+def process(monkeypatch: pytest.MonkeyPatch) -> InTurn:
     """What a node takes for the process of its model."""
     one = InTurn()
-    monkeypatch.setattr("twin_node.nodes.model.Apart", lambda: one)
+    monkeypatch.setattr("twin_node.nodes.model.ModelProcess", lambda: one)
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
     return one
 
@@ -226,7 +226,7 @@ def told_of(bus: LocalBus) -> list[tuple[str, int, int]]:
 
 
 @dataclass
-class Beside:
+class LiveNode:
     """A live node with a process of its own, and what goes out of it."""
 
     bus: LocalBus
@@ -242,66 +242,66 @@ class Beside:
 
 
 @pytest.fixture
-def beside(apart: InTurn) -> Beside:
+def live(process: InTurn) -> LiveNode:
     """The process has not loaded yet."""
     bus, model = LocalBus(), Watched()
     node = ModelNode(bus, SteppedClock(), model, is_live=True, own_process=True)
     node.configure()
     node.activate()
-    return Beside(bus, model, node, told_of(bus))
+    return LiveNode(bus, model, node, told_of(bus))
 
 
-def test_another_process_is_given_the_model_once_it_has_loaded(apart: InTurn, beside: Beside) -> None:
-    beside.take(0, 1, 2)
-    assert not apart.has_model
-    apart.loaded = True
-    beside.take(3)
-    assert apart.has_model
-    assert beside.model.done == ["refine"] * 4
-    assert beside.told == [
+def test_another_process_is_given_the_model_once_it_has_loaded(process: InTurn, live: LiveNode) -> None:
+    live.take(0, 1, 2)
+    assert not process.has_model
+    process.loaded = True
+    live.take(3)
+    assert process.has_model
+    assert live.model.done == ["refine"] * 4
+    assert live.told == [
         (topic, index, max(index - (topic == SEEN), 0)) for index in range(4) for topic in (SEEN, STATE)
     ]
 
 
-def test_what_another_process_has_followed_goes_out_when_the_arm_has_been_told(apart: InTurn, beside: Beside) -> None:
-    apart.loaded = True
-    beside.take(0)
-    beside.told.clear()
-    beside.take(1, 2, 3)  # the process is not done with 1
-    apart.work()
-    beside.bus.publish(TRUSTED_FRAMES, frames(4))
-    assert beside.told == [(SEEN, 1, 0), (SEEN, 2, 0), (SEEN, 3, 0), (SEEN, 4, 1)]
-    beside.told.clear()
-    beside.node.rest()
-    assert beside.told == [(STATE, 1, 1)]
-    assert beside.node.parameters_count == apart.parameters_count
-    assert beside.model.done == ["refine"], "the process does"
+def test_what_another_process_has_followed_goes_out_when_the_arm_has_been_told(process: InTurn, live: LiveNode) -> None:
+    process.loaded = True
+    live.take(0)
+    live.told.clear()
+    live.take(1, 2, 3)  # the process is not done with 1
+    process.work()
+    live.bus.publish(TRUSTED_FRAMES, frames(4))
+    assert live.told == [(SEEN, 1, 0), (SEEN, 2, 0), (SEEN, 3, 0), (SEEN, 4, 1)]
+    live.told.clear()
+    live.node.rest()
+    assert live.told == [(STATE, 1, 1)]
+    assert live.node.parameters_count == process.parameters_count
+    assert live.model.done == ["refine"], "the process does"
 
 
-def test_what_another_process_follows_at_the_end_still_goes_out(apart: InTurn, beside: Beside) -> None:
-    apart.loaded = True
-    beside.take(0, 1)
-    beside.told.clear()
-    beside.node.deactivate()
-    assert beside.told == [(STATE, 1, 1)]
-    assert beside.node.followed == 2
-    assert beside.node.peak_rss_mb_elsewhere == 400.0
-    assert not apart.is_closed
-    beside.node.cleanup()
-    assert apart.is_closed
+def test_what_another_process_follows_at_the_end_still_goes_out(process: InTurn, live: LiveNode) -> None:
+    process.loaded = True
+    live.take(0, 1)
+    live.told.clear()
+    live.node.deactivate()
+    assert live.told == [(STATE, 1, 1)]
+    assert live.node.followed == 2
+    assert live.node.peak_rss_mb_elsewhere == 400.0
+    assert not process.is_closed
+    live.node.cleanup()
+    assert process.is_closed
 
 
-def test_who_settles_has_every_later_set_followed_elsewhere(apart: InTurn) -> None:
+def test_who_settles_has_every_later_set_followed_elsewhere(process: InTurn) -> None:
     bus = LocalBus()
     node = ModelNode(bus, SteppedClock(), Watched(), is_live=True, own_process=True)
     node.configure()
     node.activate()
     node.settle()
-    assert not apart.has_model, "there is no model before the first set"
+    assert not process.has_model, "there is no model before the first set"
     bus.publish(TRUSTED_FRAMES, frames(0))
     node.follow()
     node.settle()
-    assert apart.has_model
+    assert process.has_model
 
 
 @pytest.mark.parametrize(("is_live", "is_worth_it"), [(False, True), (True, False)])
@@ -309,7 +309,7 @@ def test_in_lockstep_or_without_another_processor_there_is_no_other_process(
     is_live: bool, is_worth_it: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[int] = []
-    monkeypatch.setattr("twin_node.nodes.model.Apart", lambda: begun.append(1))
+    monkeypatch.setattr("twin_node.nodes.model.ModelProcess", lambda: begun.append(1))
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: is_worth_it)
     ModelNode(LocalBus(), SteppedClock(), Watched(), is_live=is_live, own_process=True).configure()
     assert not begun

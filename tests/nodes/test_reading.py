@@ -22,8 +22,8 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.reading import Finished, Order, Reading
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import JOINT_STATES, GraphError
-from twin_node.runtime.beside import Beside
 from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.worker_process import WorkerProcess
 from twin_node.scene import FrameSet
 
 SECONDS = 0.6
@@ -31,7 +31,7 @@ NARROW = SynchronizerParameters(width=80)
 PACE = 0.25
 """Of the log's time: a machine that is held up for a moment does not make a set late."""
 WAIT_S = 60.0
-both_ways = pytest.mark.parametrize("apart", [True, False])
+both_ways = pytest.mark.parametrize("own_process", [True, False])
 
 
 @pytest.fixture
@@ -66,8 +66,8 @@ def listen(session: LogSession) -> Heard:
 
 
 @both_ways
-def test_all_of_a_log_is_read(apart: bool, session: LogSession, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "is_worth_it", lambda: apart)
+def test_all_of_a_log_is_read(own_process: bool, session: LogSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "is_worth_it", lambda: own_process)
     heard, given = listen(session), list(LogSource(session, NARROW))
     assert [one.stamp for one in heard.sets] == [one.stamp for one in given]
     for ours, theirs in zip(heard.sets, given, strict=True):
@@ -86,14 +86,14 @@ def test_all_of_a_log_is_read(apart: bool, session: LogSession, monkeypatch: pyt
     assert len(told) >= len(before_the_last_set) > 20
     np.testing.assert_array_equal(told[5].position, before_the_last_set[5].message.position)
     assert heard.finished.damage is None
-    assert (20 < heard.finished.peak_rss_mb < 200) if apart else heard.finished.peak_rss_mb == 0
+    assert (20 < heard.finished.peak_rss_mb < 200) if own_process else heard.finished.peak_rss_mb == 0
 
 
 @both_ways
 def test_what_is_wrong_with_a_log_is_told(
-    apart: bool, cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own_process: bool, cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "is_worth_it", lambda: apart)
+    monkeypatch.setattr(reading, "is_worth_it", lambda: own_process)
     swapped = tmp_path / "swapped.mcap"
     with LogSession(cell_log(SECONDS)) as whole, LogWriter(swapped) as log:
         messages = list(whole.log.messages())
@@ -117,9 +117,9 @@ def test_a_log_that_is_gone_is_told_before_anything_is_read(cell_log: Callable[.
 
 @both_ways
 def test_reading_ends_when_nobody_listens_any_more(
-    apart: bool, session: LogSession, monkeypatch: pytest.MonkeyPatch
+    own_process: bool, session: LogSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "is_worth_it", lambda: apart)
+    monkeypatch.setattr(reading, "is_worth_it", lambda: own_process)
     bridge = Bridge(lambda _: None)
     with contextlib.closing(Reading(Order(session, NARROW))) as one:
         one.start(PacedClock(session.span.start_ns, 0.5), bridge, bridge.put_frames)
@@ -158,14 +158,14 @@ def test_a_thread_that_waits_for_a_log_with_nothing_to_say_for_hours_ends(
 
 
 def test_a_process_that_dies_is_told_of_in_one_line(session: LogSession, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[Beside] = []
+    begun: list[WorkerProcess] = []
 
-    def begin(*arguments: str) -> Beside:
-        begun.append(Beside(*arguments))
+    def begin(*arguments: str) -> WorkerProcess:
+        begun.append(WorkerProcess(*arguments))
         return begun[-1]
 
     monkeypatch.setattr(reading, "is_worth_it", lambda: True)
-    monkeypatch.setattr(reading, "Beside", begin)
+    monkeypatch.setattr(reading, "WorkerProcess", begin)
     bridge = Bridge(lambda _: None)
     with contextlib.closing(Reading(Order(session, NARROW))) as one:
         one.start(PacedClock(session.span.start_ns, 0.1), bridge, bridge.put_frames)

@@ -19,7 +19,7 @@ from twin_node.bag import open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert
-from twin_node.model.apart import Apart
+from twin_node.model.model_process import ModelProcess
 from twin_node.native_library import kernel_threads
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.chain_parameters import load_parameters
@@ -187,12 +187,12 @@ def test_in_real_time_the_first_decision_is_made_for_the_arm_that_the_log_tells_
 def test_where_the_models_process_dies_the_run_ends_in_one_line(
     cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Killed(Apart):
+    class Killed(ModelProcess):
         def follow(self, seen: TwinState) -> None:
             os.kill(self.pid, signal.SIGKILL)
             super().follow(seen)
 
-    monkeypatch.setattr("twin_node.nodes.model.Apart", Killed)
+    monkeypatch.setattr("twin_node.nodes.model.ModelProcess", Killed)
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
     out = tmp_path / "out.mcap"
     assert main(["replay", str(cell_log(SECONDS)), "--rate", "1", "--width", WIDTH, "-o", str(out)]) == 2

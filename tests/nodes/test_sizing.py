@@ -112,7 +112,7 @@ def test_the_models_process_is_begun_once_its_size_is_known(monkeypatch: pytest.
             return None
 
     monkeypatch.setattr(sizing, "TRIED_SETS", 2)
-    monkeypatch.setattr("twin_node.nodes.model.Apart", Loading)
+    monkeypatch.setattr("twin_node.nodes.model.ModelProcess", Loading)
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
     bus, one = LocalBus(), trial([], budget_ms=1e-6)
     node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), one, is_live=True, own_process=True)

@@ -14,16 +14,17 @@ from twin_node.arm.path import (
     path_from_sample,
     sample_path,
 )
+from twin_node.arm.predictor import ArmPredictor
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
-from twin_node.arm.whereabouts import Whereabouts
 
 __all__ = [
     "AllowedRegion",
     "Approaches",
     "ArmCollisionChecker",
     "ArmError",
+    "ArmPredictor",
     "Attachment",
     "Clearance",
     "CycleParameters",
@@ -34,7 +35,6 @@ __all__ = [
     "SpeedLimiter",
     "StoppingTable",
     "UnknownPolicy",
-    "Whereabouts",
     "decide",
     "default_path",
     "extrapolate",

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.geometry import project
-from twin_node.model.aside import Aside, Begun
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.points import find_pixels, has_points
 from twin_node.model.rays import Seen, look, pixel_rays
+from twin_node.model.side_thread import Begun, SideThread
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 
@@ -98,7 +98,7 @@ class Backgrounds:
         self._changed = self._outdated = False
         self._waiting: list[str] = []
         self._wanted: Sequence[Camera] = ()
-        self._aside = Aside()
+        self._side_thread = SideThread()
         self._begun: tuple[str, Begun[_Shown]] | None = None
         """What another thread draws for the next set, and the name of its camera."""
         self.rows = torch.zeros(0, dtype=torch.int64)
@@ -167,7 +167,7 @@ class Backgrounds:
         if self._waiting:
             name = self._waiting.pop(0)
             (draw,) = self._drawings(gaussians, [self._known[name].camera])
-            self._begun = name, self._aside.begin(draw)
+            self._begun = name, self._side_thread.begin(draw)
 
     def _take(self) -> None:
         """What has been begun to be drawn shows from now on."""

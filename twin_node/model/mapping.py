@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from twin_node.model import least_squares
 from twin_node.model.adoption import NEWBORN_OPACITY
-from twin_node.model.aside import Aside
 from twin_node.model.backgrounds import Background, Backgrounds, grow
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.births import SPREAD
@@ -29,6 +28,7 @@ from twin_node.model.parameters import MapParameters
 from twin_node.model.pruning import Pruner
 from twin_node.model.rays import look
 from twin_node.model.rest import Rest
+from twin_node.model.side_thread import SideThread
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 
 IN_FRONT = 0.995
@@ -84,7 +84,7 @@ class Mapper:
         self._backgrounds = backgrounds
         self._rests: dict[str, Rest] = {}
         self._pruner = Pruner(gaussians, backgrounds)
-        self._aside = Aside()
+        self._side_thread = SideThread()
         self._turn = 0
 
     def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
@@ -169,7 +169,7 @@ class Mapper:
         for _ in range(steps):
             rows = self._gaussians.static_rows
             step = least_squares.Step(self._gaussians, rows, learns.index_select(0, rows))
-            looking = self._aside.begin(partial(_look, step, goals))
+            looking = self._side_thread.begin(partial(_look, step, goals))
             yield
             looking.end()
             step.take()

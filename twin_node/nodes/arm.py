@@ -11,9 +11,9 @@ from enum import Enum
 from twin_node.arm import (
     ArmCollisionChecker,
     ArmError,
+    ArmPredictor,
     CyclicPath,
     SpeedLimiter,
-    Whereabouts,
     decide,
     default_path,
     standing,
@@ -86,7 +86,7 @@ class ArmNode(Node):
         self._driving = driving or (lambda: Driving.NOBODY)
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter
-        self._arm = Whereabouts(checker.model, make_cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
+        self._arm = ArmPredictor(checker.model, make_cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
         self._refused: str | None = None
         self._is_live = timers is not None
         self._share = 0.0

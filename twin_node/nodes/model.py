@@ -6,16 +6,16 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
-from twin_node.model.apart import Apart
+from twin_node.model.model_process import ModelProcess
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
-from twin_node.runtime.beside import is_worth_it
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.node import Node
+from twin_node.runtime.worker_process import is_worth_it
 from twin_node.scene import FrameSet, Tier, TwinState
 
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
@@ -51,7 +51,7 @@ class ModelNode(Node):
         self.model = model
         self._is_live = is_live
         self._own_process = own_process and is_live and is_worth_it()
-        self._apart: Apart | None = None
+        self._process: ModelProcess | None = None
         self._trial = trial
         self._narrower: Narrower | None = None
         self._seen: TwinState | None = None
@@ -68,13 +68,13 @@ class ModelNode(Node):
     @property
     def parameters_count(self) -> int:
         """Numbers that describe the scene now, see `WindowModel.parameters_count`."""
-        apart = self._apart
-        return self.model.parameters_count if apart is None or not apart.has_model else apart.parameters_count
+        process = self._process
+        return self.model.parameters_count if process is None or not process.has_model else process.parameters_count
 
     @property
     def peak_rss_mb_elsewhere(self) -> float:
         """Most memory that a process of its own has held, MB; 0 without."""
-        return 0.0 if self._apart is None else self._apart.peak_rss_mb
+        return 0.0 if self._process is None else self._process.peak_rss_mb
 
     def on_configure(self) -> None:
         image_loops_alone()
@@ -88,8 +88,8 @@ class ModelNode(Node):
         self._publish_followed()
 
     def on_cleanup(self) -> None:
-        if self._apart is not None:
-            self._apart.close()
+        if self._process is not None:
+            self._process.close()
         if not self._is_first:
             gc.unfreeze()  # nobody would ever look for what goes with this node
 
@@ -144,7 +144,7 @@ class ModelNode(Node):
 
     def _begin_process(self) -> None:
         if self._own_process:
-            self._apart = Apart()
+            self._process = ModelProcess()
 
     def rest(self, proceed: Proceed = unhurried) -> None:
         """Follows the newest set where that has not been done, and uses the time until the next for what it shows anew
@@ -154,8 +154,8 @@ class ModelNode(Node):
         done when the next one comes. `proceed()` says whether no other set waits, see `WindowModel.refine`: of sets
         that come faster every other one is let be. In lockstep none waits, so every set gets its share.
         """
-        if self._apart is not None and self._apart.has_model:
-            self._hand_over(self._apart)
+        if self._process is not None and self._process.has_model:
+            self._hand_over(self._process)
             return
         if self._seen is not None and self._let_be < MOST_LET_BE and not proceed():
             self._let_be, self._seen = self._let_be + 1, None
@@ -163,27 +163,27 @@ class ModelNode(Node):
         self._let_be = 0
         self.follow()
         self.model.refine(proceed)
-        if self._apart is not None and self.followed and self._apart.is_loaded():
-            self._apart.take(self.model)
+        if self._process is not None and self.followed and self._process.is_loaded():
+            self._process.take(self.model)
 
     def settle(self) -> None:
         """Waits until the process of its own follows the sets that come from now on, where there is to be one; called
         after the first set by who does not want that to happen while later ones come."""
-        if self._apart is not None and self.followed and self._apart.is_loaded(wait=True):
-            self._apart.take(self.model)
+        if self._process is not None and self.followed and self._process.is_loaded(wait=True):
+            self._process.take(self.model)
 
-    def _hand_over(self, apart: Apart) -> None:
+    def _hand_over(self, process: ModelProcess) -> None:
         """Publishes what the other process has followed, and lets it follow the newest set where it is free."""
         self._collect()
         self._publish_followed()
         seen = self._seen
-        if seen is not None and apart.is_free:
+        if seen is not None and process.is_free:
             self._seen = None
-            apart.follow(seen)
+            process.follow(seen)
 
     def _collect(self, wait: bool = False) -> None:
         """Takes in what the other process has followed, if it has."""
-        state = None if self._apart is None else self._apart.result(wait)
+        state = None if self._process is None else self._process.result(wait)
         if state is not None:
             self.model.hear_of(state)
             self._followed = state

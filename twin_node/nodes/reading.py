@@ -17,9 +17,9 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.player import Player
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
-from twin_node.runtime.beside import Beside, EndedError, is_worth_it
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
+from twin_node.runtime.worker_process import EndedError, WorkerProcess, is_worth_it
 from twin_node.scene import Camera, FrameSet
 
 HANDED_ON = (JOINT_STATES, TRAJECTORY)
@@ -71,12 +71,12 @@ class Reading:
 
     def __init__(self, order: Order) -> None:
         self._order = order
-        self._process: Beside | None = None
+        self._process: WorkerProcess | None = None
         self._thread: threading.Thread | None = None
         self.finished = Finished()
         """What was said in the end."""
         if is_worth_it():
-            self._process = Beside("twin_node.nodes.reading_process", "reader", "give it more memory")
+            self._process = WorkerProcess("twin_node.nodes.reading_process", "reader", "give it more memory")
             with _ended_is_told():
                 self._process.send(order)
 
@@ -115,7 +115,7 @@ class Reading:
                 return
         self.finished = Finished(self._order.session.log.damage)
 
-    def _listen(self, process: Beside, bridge: Bridge, on_frames: OnFrames) -> None:
+    def _listen(self, process: WorkerProcess, bridge: Bridge, on_frames: OnFrames) -> None:
         cameras = LogSource(self._order.session, self._order.synchronizer).cameras
         loaded = partial(load, cameras={camera.name: camera for camera in cameras})
         while not bridge.is_closed:

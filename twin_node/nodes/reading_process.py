@@ -7,10 +7,10 @@ from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
 from twin_node.nodes.reading import Finished, Order, dump, play
-from twin_node.runtime.beside import READY, Failed, receive, run, send
 from twin_node.runtime.clock import PacedClock
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
+from twin_node.runtime.worker_process import READY, Failed, receive, run, send
 
 
 def main(connection: Connection) -> None:

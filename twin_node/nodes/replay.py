@@ -24,11 +24,11 @@ from twin_node.nodes.spool import Spool
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, RECORDED, GraphError
 from twin_node.runtime.arrivals import PATIENCE
-from twin_node.runtime.beside import EndedError
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.runtime.memory import peak_mb
 from twin_node.runtime.node import Node
+from twin_node.runtime.worker_process import EndedError
 from twin_node.scene import Camera, FrameSet
 
 Progress = Callable[[float], None]

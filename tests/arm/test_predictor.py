@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.arm import ArmError, CyclicPath, Whereabouts, default_path
+from twin_node.arm import ArmError, ArmPredictor, CyclicPath, default_path
 from twin_node.robot import ur_model
 from twin_node.scene import Float64, JointPath, JointSample
 
@@ -31,15 +31,15 @@ def joints(at: Float64, velocity: Float64, when_ms: int) -> JointSample:
     return JointSample(NOW + when_ms * MS, MODEL.joint_names, at, velocity)
 
 
-def whereabouts(path: JointPath, sample: JointSample | None = None) -> Whereabouts:
-    found = Whereabouts(MODEL, unwanted, 0.4)
+def predictor(path: JointPath, sample: JointSample | None = None) -> ArmPredictor:
+    found = ArmPredictor(MODEL, unwanted, 0.4)
     found.take_path(path)
     if sample is not None:
         found.take_joints(sample)
     return found
 
 
-def pose_at(found: Whereabouts, when_ms: int) -> Float64:
+def pose_at(found: ArmPredictor, when_ms: int) -> Float64:
     """Where the arm is said to be, [J] rad."""
     stamp = NOW + when_ms * MS
     pose: Float64 = found.ahead(stamp, stamp).positions[0]
@@ -47,14 +47,14 @@ def pose_at(found: Whereabouts, when_ms: int) -> Float64:
 
 
 def test_an_arm_that_is_held_back_is_judged_where_it_stands_and_not_where_it_was_planned_to_be() -> None:
-    found = whereabouts(planned(), joints(READY, 0 * TURNING, 2000))
+    found = predictor(planned(), joints(READY, 0 * TURNING, 2000))
     np.testing.assert_allclose(pose_at(found, 2000), READY)
     assert found.stray_rad == pytest.approx(1.9)  # of what it may lag at most
 
 
 def test_a_path_that_was_left_once_is_not_come_back_to() -> None:
     """An arm that comes by where its path would have it by now may be on its way anywhere."""
-    found = whereabouts(planned(), joints(READY, 0 * TURNING, 500))
+    found = predictor(planned(), joints(READY, 0 * TURNING, 500))
     pose_at(found, 500)
     found.take_joints(joints(READY + TURNING, -TURNING, 1000))
     ahead = found.ahead(NOW + 1000 * MS, NOW + 1000 * MS)
@@ -67,7 +67,7 @@ def test_a_path_that_was_left_once_is_not_come_back_to() -> None:
 
 @pytest.mark.parametrize("lag_ms", [-95, -40, 0, 40, 95])
 def test_an_arm_that_lags_behind_its_path_or_leads_it_a_little_is_on_it(lag_ms: int) -> None:
-    found = whereabouts(planned(), joints(READY + (1.0 - lag_ms * 1e-3) * TURNING, TURNING, 1000))
+    found = predictor(planned(), joints(READY + (1.0 - lag_ms * 1e-3) * TURNING, TURNING, 1000))
     np.testing.assert_allclose(pose_at(found, 1000), READY + TURNING)
     assert found.stray_rad is None
 
@@ -75,9 +75,9 @@ def test_an_arm_that_lags_behind_its_path_or_leads_it_a_little_is_on_it(lag_ms: 
 @pytest.mark.parametrize("joint", range(6))
 def test_every_joint_must_be_on_the_path(joint: int) -> None:
     off = 0.06 * (np.arange(6) == joint)
-    found = whereabouts(planned(velocity=0 * TURNING), joints(READY + off, 0 * TURNING, 1000))
+    found = predictor(planned(velocity=0 * TURNING), joints(READY + off, 0 * TURNING, 1000))
     np.testing.assert_allclose(pose_at(found, 1000), READY + off)
-    near = whereabouts(planned(velocity=0 * TURNING), joints(READY + off / 2, 0 * TURNING, 1000))
+    near = predictor(planned(velocity=0 * TURNING), joints(READY + off / 2, 0 * TURNING, 1000))
     np.testing.assert_allclose(pose_at(near, 1000), READY)
 
 
@@ -85,14 +85,14 @@ def test_joints_that_were_heard_a_little_before_the_path_begins_do_not_contradic
     """A driver tells of the next 200 ms by joints that it has just heard of."""
     fast = 3 * TURNING
     before = joints(READY - 0.02 * fast, fast, -20)
-    found = whereabouts(planned(velocity=fast, lasts_ms=200), before)
+    found = predictor(planned(velocity=fast, lasts_ms=200), before)
     np.testing.assert_allclose(pose_at(found, 10), READY + 0.01 * fast)
     assert found.stray_rad is None
 
 
 def test_joints_from_before_the_path_begins_go_on_at_the_speed_that_was_measured() -> None:
     """Not at their program's: of an arm held to a quarter that would be 10 cm instead of 2.5."""
-    found = whereabouts(planned(velocity=0 * TURNING, lasts_ms=200))
+    found = predictor(planned(velocity=0 * TURNING, lasts_ms=200))
     found.take_joints(joints(READY, 0.5 * TURNING, -50), share=0.25)
     pose_at(found, 10)
     assert found.stray_rad is None
@@ -101,11 +101,11 @@ def test_joints_from_before_the_path_begins_go_on_at_the_speed_that_was_measured
 def test_a_path_may_name_its_joints_in_any_order() -> None:
     path = planned()
     turned = JointPath(path.names[::-1], path.stamps, path.positions[:, ::-1])
-    np.testing.assert_allclose(pose_at(whereabouts(turned), 1000), READY + TURNING)
+    np.testing.assert_allclose(pose_at(predictor(turned), 1000), READY + TURNING)
 
 
 def test_joints_without_velocities_that_come_twice_keep_those_known_before() -> None:
-    found = Whereabouts(MODEL, unwanted, 0.4)
+    found = ArmPredictor(MODEL, unwanted, 0.4)
     for when_ms in (0, 100, 100):
         sample = joints(READY + when_ms * 1e-3 * TURNING, 0 * TURNING, when_ms)
         found.take_joints(sample, has_velocities=False)
@@ -115,16 +115,16 @@ def test_joints_without_velocities_that_come_twice_keep_those_known_before() -> 
 
 @pytest.mark.parametrize("when_ms", [-150, -500])
 def test_joints_that_are_much_older_than_the_path_or_stale_say_nothing_of_it(when_ms: int) -> None:
-    found = whereabouts(planned(), joints(READY - TURNING, 0 * TURNING, when_ms))
+    found = predictor(planned(), joints(READY - TURNING, 0 * TURNING, when_ms))
     np.testing.assert_allclose(pose_at(found, 100), READY + 0.1 * TURNING)
 
 
 def test_a_path_alone_is_believed() -> None:
-    np.testing.assert_allclose(pose_at(whereabouts(planned()), 1000), READY + TURNING)
+    np.testing.assert_allclose(pose_at(predictor(planned()), 1000), READY + TURNING)
 
 
 def test_joints_that_have_become_old_stop_the_arm_though_they_had_ended_its_path() -> None:
-    found = whereabouts(planned(), joints(READY, 0 * TURNING, 1000))
+    found = predictor(planned(), joints(READY, 0 * TURNING, 1000))
     pose_at(found, 1000)
     with pytest.raises(ArmError, match="joints are 500 ms old"):
         pose_at(found, 1500)
@@ -137,7 +137,7 @@ def test_a_cycle_is_made_up_when_it_is_looked_for_and_only_once() -> None:
         made.append(default_path(MODEL))
         return made[-1]
 
-    found = Whereabouts(MODEL, make, 0.4)
+    found = ArmPredictor(MODEL, make, 0.4)
     assert made == []
     for when_ms in (0, 33):
         stamp = NOW + when_ms * MS
@@ -153,7 +153,7 @@ def test_an_arm_for_which_no_cycle_can_be_made_up_stands_until_it_tells_of_itsel
         tries.append(1)
         raise ArmError("it cannot put its tool there")
 
-    found = Whereabouts(MODEL, fail, 0.4)
+    found = ArmPredictor(MODEL, fail, 0.4)
     for _ in range(3):
         with pytest.raises(ArmError, match="nobody tells of an arm, and none can be made up: it cannot put its tool"):
             found.ahead(NOW, NOW)

@@ -1,4 +1,4 @@
-"""A process of this package beside another: begun at once, spoken with over a pipe, ended with whoever began it."""
+"""A worker process: a module of this package, begun at once, spoken with over a pipe, ended with whoever began it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def receive(connection: Connection) -> Any:
     return pickle.loads(come)
 
 
-class Beside:
+class WorkerProcess:
     """The process as whoever began it sees it."""
 
     def __init__(self, module: str, name: str, advice: str, environment: Mapping[str, str] | None = None) -> None:

@@ -36,11 +36,11 @@ class Begun(Generic[Result]):
         return Begun, (partial(_itself, self.end()), None)
 
 
-class Aside:
+class SideThread:
     """A thread beside the one that asks. Worth it for compiled calls, which leave the interpreter to others."""
 
     def __init__(self) -> None:
-        self._threads = ThreadPoolExecutor(1, "aside", initializer=_keep_torch_alone)
+        self._threads = ThreadPoolExecutor(1, "side", initializer=_keep_torch_alone)
 
     def begin(self, work: Callable[[], Result]) -> Begun[Result]:
         """Hands `work` over, which must touch nothing that anybody changes before its end.
@@ -52,7 +52,7 @@ class Aside:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: another thread."""
-        return Aside, ()
+        return SideThread, ()
 
 
 def _itself(result: Result) -> Result:

@@ -15,10 +15,10 @@ import pytest
 from model_scenes import BLOCK_SPEED, rig, sliding
 
 from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.apart import Apart, Followed
-from twin_node.model.apart_process import serve
+from twin_node.model.model_process import Followed, ModelProcess
+from twin_node.model.model_worker import serve
 from twin_node.model.stages import LeftS, endless, granted
-from twin_node.runtime.beside import EndedError, Failed, send
+from twin_node.runtime.worker_process import EndedError, Failed, send
 from twin_node.scene import TwinState
 
 SETS = 16
@@ -66,27 +66,27 @@ def test_it_can_be_handed_over_after_any_slice() -> None:
 
 
 @pytest.fixture
-def apart() -> Iterator[Apart]:
+def process() -> Iterator[ModelProcess]:
     """A process without a model."""
-    one = Apart()
+    one = ModelProcess()
     yield one
     one.close()
 
 
-def test_a_process_follows_what_is_seen_here(apart: Apart) -> None:
+def test_a_process_follows_what_is_seen_here(process: ModelProcess) -> None:
     model, sets = WindowModel(PARAMETERS), sliding(SETS, rig())
     model.update(sets[0])
-    assert not apart.is_free
-    assert apart.is_loaded(wait=True)
-    apart.take(model)
-    assert apart.is_free
-    assert apart.parameters_count == model.parameters_count
-    assert apart.result() is None
+    assert not process.is_free
+    assert process.is_loaded(wait=True)
+    process.take(model)
+    assert process.is_free
+    assert process.parameters_count == model.parameters_count
+    assert process.result() is None
     for one in sets[1:]:
         seen = model.look(one)
-        apart.follow(seen)
-        assert not apart.is_free
-        state = apart.result(wait=True)
+        process.follow(seen)
+        assert not process.is_free
+        state = process.result(wait=True)
         assert state is not None
         assert (state.stamp, state.model_stamp) == (one.stamp, one.stamp)
         assert state.frames is seen.frames
@@ -94,22 +94,22 @@ def test_a_process_follows_what_is_seen_here(apart: Apart) -> None:
     assert state.nodes.velocities[:, 0].max() > BLOCK_SPEED / 3
     later = model.look(sets[-1])
     assert (later.model_stamp, len(later.gaussians.means)) == (sets[-1].stamp, len(state.gaussians.means))
-    assert apart.parameters_count > 14 * len(state.gaussians.means)
-    assert 50 < apart.peak_rss_mb < 2000
+    assert process.parameters_count > 14 * len(state.gaussians.means)
+    assert 50 < process.peak_rss_mb < 2000
 
 
-def test_a_process_that_dies_is_told_of(apart: Apart) -> None:
-    assert apart.is_loaded(wait=True)
-    os.kill(apart.pid, signal.SIGKILL)
+def test_a_process_that_dies_is_told_of(process: ModelProcess) -> None:
+    assert process.is_loaded(wait=True)
+    os.kill(process.pid, signal.SIGKILL)
     with pytest.raises(EndedError, match=r"process \(\d+\) .* ended with status -9; .*own_process"):
         while True:  # what it does not take may fit into the pipe
-            apart.take(_first())
+            process.take(_first())
 
 
-def test_a_process_ends_with_who_began_it(apart: Apart) -> None:
-    apart.close()
+def test_a_process_ends_with_who_began_it(process: ModelProcess) -> None:
+    process.close()
     with pytest.raises(ProcessLookupError):
-        os.kill(apart.pid, 0)
+        os.kill(process.pid, 0)
 
 
 class Stubborn(WindowModel):

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from twin_node.runtime.beside import READY, Beside, receive, send
+from twin_node.runtime.worker_process import READY, WorkerProcess, receive, send
 
 INTERRUPTED = f"""
 import os, signal
 os.kill(os.getpid(), signal.SIGINT)  # before anything of this package is imported
-from twin_node.runtime.beside import receive, run, send
+from twin_node.runtime.worker_process import receive, run, send
 
 def main(connection):
     send(connection, {READY!r})
@@ -29,7 +29,7 @@ run(main)
 def test_an_interrupt_is_left_to_who_began_it(tmp_path: Path) -> None:
     (tmp_path / "interrupted.py").write_text(INTERRUPTED)
     paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    with contextlib.closing(Beside("interrupted", "echo", "try again", {"PYTHONPATH": paths})) as begun:
+    with contextlib.closing(WorkerProcess("interrupted", "echo", "try again", {"PYTHONPATH": paths})) as begun:
         assert begun.is_loaded(wait=True)
         begun.send("said")
         assert begun.receive() == "said"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin_node.native_library import thread_count
-from twin_node.runtime.beside import Beside
+from twin_node.runtime.worker_process import WorkerProcess
 from twin_node.scene import GaussianCloud, NodeStates, TwinState
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Followed:
     """Most memory that the process has held so far, MB."""
 
 
-class Apart:
+class ModelProcess:
     """The process as those who hand it sets see it: it is begun at once, and is given its model once it has loaded.
 
     One set at a time: `follow` hands over what a model's `look` has seen, `result` is there when that is followed.
@@ -36,8 +36,8 @@ class Apart:
     """
 
     def __init__(self) -> None:
-        self._process = Beside(
-            "twin_node.model.apart_process",
+        self._process = WorkerProcess(
+            "twin_node.model.model_worker",
             "model",
             "give it more memory, or set own_process of 'model' to false",
             {"OMP_NUM_THREADS": str(max(1, thread_count() // 2))},

@@ -1,4 +1,4 @@
-"""The process that `Apart` begins: it takes a window model, and follows with it what it is handed, set by set."""
+"""The process that `ModelProcess` begins: it takes a window model, and follows with it what it is handed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import traceback
 from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
-from twin_node.model.apart import Followed
 from twin_node.model.kernels import kernels
+from twin_node.model.model_process import Followed
 from twin_node.model.window_model import WindowModel
-from twin_node.runtime.beside import READY, Failed, receive, run, send
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
+from twin_node.runtime.worker_process import READY, Failed, receive, run, send
 from twin_node.scene import TwinState
 
 NICENESS = 5

@@ -1,4 +1,4 @@
-"""What is known of where the arm is and where it goes, and for how long that may be believed."""
+"""Predicts the arm: where it is and where it goes, by its trajectory or its joints while these can be believed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LAG_NS = 100_000_000
 _LAGS_NS = np.arange(-_LAG_NS, _LAG_NS + 1, STEP_NS)
 
 
-class Whereabouts:
+class ArmPredictor:
     """The arm's path while it lasts, else its joints extrapolated; a given cycle where nobody has told of an arm.
 
     Fresh joints that are elsewhere than the path has them end it: who plans a trajectory and publishes it once does not

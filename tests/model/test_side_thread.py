@@ -9,7 +9,7 @@ import pytest
 from model_scenes import rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
-from twin_node.model.aside import Aside
+from twin_node.model.side_thread import SideThread
 from twin_node.native_library import kernel_threads
 
 
@@ -17,14 +17,14 @@ from twin_node.native_library import kernel_threads
 def test_work_is_done_once_by_its_end(threads: int) -> None:
     done: list[int] = []
     with kernel_threads(threads):
-        begun = Aside().begin(lambda: done.append(threading.get_ident()))
+        begun = SideThread().begin(lambda: done.append(threading.get_ident()))
         begun.end()
     assert len(done) == 1
     assert threads == 2 or done == [threading.get_ident()]
 
 
 def test_work_that_nobody_has_begun_is_done_by_who_asks() -> None:
-    aside, gate, done = Aside(), threading.Event(), []
+    aside, gate, done = SideThread(), threading.Event(), []
     with kernel_threads(2):
         first = aside.begin(lambda: done.append(gate.wait()))
         second = aside.begin(lambda: done.append(threading.get_ident()))
@@ -38,7 +38,7 @@ def test_work_that_nobody_has_begun_is_done_by_who_asks() -> None:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_what_work_raises_is_raised_at_its_end(threads: int) -> None:
     with kernel_threads(threads):
-        begun = Aside().begin(lambda: np.zeros(1)[[2]])
+        begun = SideThread().begin(lambda: np.zeros(1)[[2]])
         with pytest.raises(IndexError):
             begun.end()
 
