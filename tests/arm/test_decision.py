@@ -21,7 +21,7 @@ from twin_node.arm import (
     extrapolate,
     stopping_table,
 )
-from twin_node.arm.separation import Encounter, Motion, hazards
+from twin_node.arm.separation import ArmMotion, Encounter, hazards
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
@@ -288,7 +288,7 @@ def test_a_law_that_gives_no_number_lets_nothing_move(ur5e_checker: ArmCollision
     ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.25)))
     with np.errstate(over="ignore"), pytest.raises(ArmError, match="protective distance from obstacle 100, found inf"):
         decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, infinite)
-    motion = Motion(NOW, REACTION_S, TURNING, stopping_table("ur5e"))
+    motion = ArmMotion(NOW, REACTION_S, TURNING, stopping_table("ur5e"))
     found = hazards(ur5e_checker.obstacles, NOW, SeparationParameters())
     pair, one = np.zeros(1, np.int64), np.ones(1)
     unknown = Encounter(found, pair, pair, np.full(1, np.nan), one, motion, SeparationParameters())

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast import CoverParameters, ForecastError, Motion, cover
+from twin_node.forecast import CoverParameters, ForecastError, PartMotion, cover
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.grid import encode_runs
@@ -139,7 +139,7 @@ def test_unknown_space_is_an_obstacle_by_what_may_be_in_it() -> None:
 
 def test_motion_gives_velocity_bound_and_expert() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
-    motion = Motion(
+    motion = PartMotion(
         blobs[:1], np.array([[0.5, 0.0, 0.0]]), np.full((5, 1), 0.06), np.array([MotionExpert.DAMPED], np.uint8)
     )
     obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
@@ -155,7 +155,7 @@ def test_bounds_are_those_inside_the_shapes() -> None:
     """An obstacle of an interval is as wide as the forecast at its end; what was seen is no forecast."""
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
     radii = np.array([[0.01], [0.03], [0.06], [0.1], [0.15]])
-    motion = Motion(blobs[:1], np.zeros((1, 3)), radii, np.array([MotionExpert.DAMPED], np.uint8))
+    motion = PartMotion(blobs[:1], np.zeros((1, 3)), radii, np.array([MotionExpert.DAMPED], np.uint8))
     nothing = np.zeros(0, np.int64)
     obstacles = cover(occupancy(blobs, nothing), motion=motion, sighted=sighted(GRID, np.array([7, 8])))
     seen = obstacles.as_seen
@@ -172,7 +172,7 @@ def test_a_speed_beyond_a_persons_is_told_only_as_far_as_it_is_sure() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
     told = []
     for speed, sigma in ((3.0, 0.5), (3.0, 2.0), (1.2, 2.0)):
-        motion = Motion(blobs[:1], np.array([[speed, 0, 0]]), np.zeros((5, 1)), sigmas=np.array([sigma]))
+        motion = PartMotion(blobs[:1], np.array([[speed, 0, 0]]), np.zeros((5, 1)), sigmas=np.array([sigma]))
         obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
         told.append(float(obstacles.velocities[obstacles.kinds == ObstacleKind.MOVING][0, 0]))
     assert np.allclose(told, [2.0, PERSON_SPEED, 1.2])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin_node.forecast import Motion, cover
+from twin_node.forecast import PartMotion, cover
 from twin_node.forecast.parts import Parts, split
 from twin_node.forecast.passing import passed_between
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, ObstacleKind, Occupancy, OccupancyLayer
@@ -68,11 +68,11 @@ def test_obstacles_hold_what_is_passed_between_their_horizons() -> None:
     )
     nothing = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
     occupancy = Occupancy(0, 33_000_000, GRID, layers, nothing, np.zeros((0, 2), np.uint32))
-    motion = Motion(parts.centers, np.tile([8.0, 0.0, 0.0], (parts.count, 1)), radii)
+    motion = PartMotion(parts.centers, np.tile([8.0, 0.0, 0.0], (parts.count, 1)), radii)
     passed = passed_between(GRID, parts, displacements, radii)
     middle = ahead(8.0 * 0.075)
 
-    def holds(motion: Motion) -> bool:
+    def holds(motion: PartMotion) -> bool:
         found = cover(occupancy, motion=motion)
         then = (found.kinds == ObstacleKind.MOVING) & (found.valid_from == 83_000_000)
         inside = np.abs(found.positions[then] - middle) <= found.sizes[then] / 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
 
-from twin_node.forecast import Forecaster, Foreseen
+from twin_node.forecast import Forecaster, ForecastResult
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.resting import RESTING_S, Memory, Resting, rested, rested_plainly
@@ -139,7 +139,7 @@ def test_compiled_memory_is_the_plain_one(seed: int) -> None:
         assert np.array_equal(one.moved.words, other.moved.words)
 
 
-def comes_and_rests(radius: float, rest_s: float) -> Foreseen:
+def comes_and_rests(radius: float, rest_s: float) -> ForecastResult:
     """A body that moves for half a second and then looks as furniture does."""
     forecaster, moving_sets = Forecaster(GRID), 15
     for tick in range(moving_sets + round(rest_s * 1e9 / STEP_NS)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.errors import ArmError
-from twin_node.arm.separation import Encounter, Hazards, Motion, SeparationParameters, hazards
+from twin_node.arm.separation import ArmMotion, Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import Float64, JointPath, ObstacleKind, Separation
@@ -39,7 +39,7 @@ def decide(
     seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
-    motion = Motion(stamp, reaction_s, _fastest(positions, seconds), stopping)
+    motion = ArmMotion(stamp, reaction_s, _fastest(positions, seconds), stopping)
     closest = checker.closest(positions, np.minimum(path.stamps, _forecast_end(checker, stamp)))
     picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
     pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
@@ -121,7 +121,7 @@ def _reach(
     positions: Float64,
     seconds: Float64,
     found: Hazards,
-    motion: Motion,
+    motion: ArmMotion,
     law: SeparationParameters,
 ) -> Float64:
     """Distance [n] (m) within which an obstacle can matter now: the law at full speed for the arm's fastest point.

@@ -86,7 +86,7 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Motion:
+class ArmMotion:
     """What the law needs to know of the arm at its full programmed speed."""
 
     stamp: int
@@ -208,7 +208,7 @@ class Encounter:
     """[p] from the arm as it stands now to the obstacle as it will be, m."""
     closing: Float64
     """[p] speed at which the arm, at full speed, comes closer by its own motion, m/s."""
-    motion: Motion
+    motion: ArmMotion
     parameters: SeparationParameters
 
     def terms(self, share: float) -> Terms:

@@ -3,8 +3,8 @@
 from twin_node.forecast.baselines import BaselineForecaster, Baselines
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import default_grid
-from twin_node.forecast.obstacles import CoverParameters, Motion, cover
-from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality, Foreseen
+from twin_node.forecast.obstacles import CoverParameters, PartMotion, cover
+from twin_node.forecast.occupancy import Forecaster, ForecastParameters, ForecastQuality, ForecastResult
 from twin_node.forecast.points import PointForecast, PointForecaster
 
 __all__ = [
@@ -14,9 +14,9 @@ __all__ = [
     "ForecastError",
     "ForecastParameters",
     "ForecastQuality",
+    "ForecastResult",
     "Forecaster",
-    "Foreseen",
-    "Motion",
+    "PartMotion",
     "PointForecast",
     "PointForecaster",
     "cover",

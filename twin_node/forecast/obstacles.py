@@ -67,7 +67,7 @@ class CoverParameters:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PartMotion:
     """How the parts of the moving space move: what gives obstacles their velocity and bound."""
 
     centers: Float64
@@ -99,7 +99,7 @@ def cover(
     occupancy: Occupancy,
     previous: Obstacles | None = None,
     parameters: CoverParameters | None = None,
-    motion: Motion | None = None,
+    motion: PartMotion | None = None,
     hidden: Hidden | None = None,
     sighted: Sighted | None = None,
 ) -> Obstacles:
@@ -176,7 +176,9 @@ class _Batch:
         return Wanted(self.grid, self.most, (int(self.kind) << 3) | self.interval, self.voxels)
 
 
-def _obstacles(stamp: int, batches: list[_Batch], found: Covers, motion: Motion | None, since_s: float) -> Obstacles:
+def _obstacles(
+    stamp: int, batches: list[_Batch], found: Covers, motion: PartMotion | None, since_s: float
+) -> Obstacles:
     counts, total = found.counts, len(found.ids)
     origins = np.repeat([batch.grid.origin for batch in batches], counts, axis=0)
     voxel_sizes = np.repeat([batch.grid.voxel_size for batch in batches], counts)[:, None]

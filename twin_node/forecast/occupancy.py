@@ -16,7 +16,7 @@ from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.nearest import nearest
-from twin_node.forecast.obstacles import Motion
+from twin_node.forecast.obstacles import PartMotion
 from twin_node.forecast.pace import LONGEST_GAP_S, Pace
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.passing import passed_between
@@ -70,11 +70,11 @@ class ForecastQuality:
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class ForecastResult:
     """The forecast on one state, and what obstacles are told by beside it."""
 
     occupancy: Occupancy
-    motion: Motion
+    motion: PartMotion
     """Where the parts are, how they move, their bounds and their experts."""
     hidden: Hidden
     """What may be in the unknown space."""
@@ -120,7 +120,7 @@ class Forecaster:
             warnings=self._warnings + self._watch.warnings,
         )
 
-    def update(self, state: TwinState, publish_stamp: int) -> Foreseen:
+    def update(self, state: TwinState, publish_stamp: int) -> ForecastResult:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
 
         Raises `ForecastError` where it is to be read before its evidence, and for images or masks that are not of their
@@ -158,7 +158,7 @@ class Forecaster:
             static=evidence.static,
             unknown_runs=unseen.unknown_runs,
         )
-        return Foreseen(occupancy, motion, unseen.hidden, seen)
+        return ForecastResult(occupancy, motion, unseen.hidden, seen)
 
     def _follow(self, state: TwinState, ahead_s: float) -> Evidence:
         """What a state shows, and forecasts of all that moves in it for so long (s) from then.
@@ -193,14 +193,14 @@ class Forecaster:
         moved = (prediction.displacements, prediction.radii, prediction.turning, prediction.swerves)
         return layers_of(self.grid, Ahead(evidence.parts, *moved, self._observer.places(may_start), started))
 
-    def _motion(self, evidence: Evidence, prediction: Prediction) -> Motion:
+    def _motion(self, evidence: Evidence, prediction: Prediction) -> PartMotion:
         """That of the parts, and what they pass between two layers; takes note of how wide their bounds are."""
         radii = prediction.radii
         self._bound_radius = float(np.median(radii[-1])) if radii.shape[1] else 0.0
         passed = passed_between(self.grid, evidence.parts, prediction.displacements, radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
         sigmas = evidence.motion.sigmas
-        return Motion(self._tracks.positions[-1], self._tracks.velocities, radii, experts, sigmas, passed)
+        return PartMotion(self._tracks.positions[-1], self._tracks.velocities, radii, experts, sigmas, passed)
 
     def _new_predictor(self) -> Predictor:
         """Without any record. Nothing falls out of the grid: below it is a table or the floor."""

@@ -24,7 +24,7 @@ OURS = "ours"
 
 
 @dataclass(frozen=True)
-class Foreseen:
+class ForecastExample:
     """A forecast, the set at the time it was for, and what was seen to move then: for the pictures."""
 
     tick: Tick
@@ -40,7 +40,7 @@ class Foresight:
     methods: Mapping[str, Score] = field(default_factory=dict)
     truth: str = ""
     """What the truth was taken from."""
-    examples: tuple[Foreseen, ...] = ()
+    examples: tuple[ForecastExample, ...] = ()
     recalls: tuple[tuple[int, float], ...] = ()
     """Stamp (ns) and the share of the voxels seen to move then that had been foreseen."""
 
@@ -62,7 +62,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
     comparison = Comparison(truth, "persistence")
     baselines: BaselineForecaster | None = None
     due: deque[Occupancy] = deque()
-    shown: list[Foreseen] = []
+    shown: list[ForecastExample] = []
     recalls: list[tuple[int, float]] = []
     for tick in ticks:
         if tick.state is None or tick.occupancy is None:
@@ -79,7 +79,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
         if foreseen is not None and len(seen):
             held = contains(ours.grid, foreseen.layers[-1].indices, seen.astype(np.int64))
             recalls.append((tick.stamp, float(held.mean())))
-            shown.append(Foreseen(tick, ours.grid, foreseen.layers[-1].indices, seen))
+            shown.append(ForecastExample(tick, ours.grid, foreseen.layers[-1].indices, seen))
         due.append(ours)
     return Foresight(comparison.scores(), truth.source, tuple(thinned(shown, examples)), tuple(recalls))
 

@@ -21,7 +21,7 @@ from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report import pictures
 from twin_node.nodes.report.figures import figures_of
-from twin_node.nodes.report.foresight import OURS, Foreseen, Foresight, score_forecasts
+from twin_node.nodes.report.foresight import OURS, ForecastExample, Foresight, score_forecasts
 from twin_node.nodes.report.quality import Renderings, clouds_against_images, leave_one_out, score, unit
 from twin_node.unfinished import whole_file
 
@@ -169,7 +169,7 @@ def _strips(taken: Sequence[Renderings], start: int) -> list[Captioned]:
     return captioned
 
 
-def _forecast(foreseen: Foreseen, start: int) -> Captioned:
+def _forecast(foreseen: ForecastExample, start: int) -> Captioned:
     view = foreseen.tick.frames.views[0]
     picture = pictures.forecast_picture(unit(view), view.camera, foreseen.grid, foreseen.foreseen, foreseen.seen)
     return Captioned(_encoded(pictures.png(picture)), f"{view.camera.name}, {_seconds(view.stamp, start)}")
