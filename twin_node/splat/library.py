@@ -248,4 +248,10 @@ def limit_torch(threads: int) -> None:
     `torch.set_num_threads` says it for all threads at once. Nothing where torch does not run on OpenMP.
     """
     with suppress(AttributeError):
-        ctypes.CDLL(None).omp_set_num_threads(threads)  # torch shows its runtime to the whole process
+        _runtime().omp_set_num_threads(threads)
+
+
+@cache
+def _runtime() -> ctypes.CDLL:
+    """What this process has loaded, torch's OpenMP runtime among it: torch shows that to the whole process."""
+    return ctypes.CDLL(None)
