@@ -319,3 +319,18 @@ def test_obstacles_of_a_set_in_which_something_was_not_finite_keep_what_is_known
     assert np.array_equal(found.velocities, expected.velocities)
     assert np.abs(found.velocities).max() > 0.3
     assert np.allclose(found.radii[-1], 1.6 * 0.233)
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_of_what_moves_in_the_first_images_nothing_is_known(with_depth: bool) -> None:
+    """Nor has the first forecast, which holds all that it may reach, foreseen the second set's."""
+    forecaster, period_ns = Forecaster(GRID), 200_000_000
+
+    def swung(stamp: int) -> np.ndarray:
+        return np.array([0.3 * np.sin(4.3 * stamp * 1e-9), 0.05, 0.4])
+
+    for tick in range(2):
+        state = state_of(tick * period_ns, swung(tick * period_ns), RADIUS, with_depth=with_depth)
+        found = forecaster.update(state, state.stamp + LATENCY_NS).occupancy
+        truth = ball_voxels(swung(found.publish_stamp + HORIZONS_NS[-1]), 0.9 * RADIUS)
+        assert np.isin(truth, found.layers[-1].indices).all()

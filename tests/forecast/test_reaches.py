@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from twin_node.forecast.bound import Bound, Expected
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, start_radii
-from twin_node.forecast.reaches import Known, Span, reaches, reaches_plainly
+from twin_node.forecast.reaches import Known, Span, reaches, reaches_plainly, staleness
 
 COUNT, NOW, HORIZON_S = 400, 3.0, 0.2
 HORIZONS = np.array([0.033, 0.083, 0.133, 0.183, 0.233])
@@ -27,7 +29,7 @@ def known(rng: np.random.Generator, measured: Measured | None) -> Known:
     expected = Expected(scales, rng.uniform(0, 0.4, COUNT))
     began, born = NOW - rng.uniform(0, 0.4, COUNT), NOW - rng.uniform(0, 0.6, COUNT)
     turned = np.where(rng.random(COUNT) < 0.3, NOW - rng.uniform(0, 1, COUNT), -np.inf)
-    return Known(NOW, HORIZON_S, expected, born, began, turned, rng.uniform(0, 4, COUNT), measured)
+    return Known(NOW, HORIZON_S, expected, born, began, turned, rng.uniform(0, 4, COUNT), measured, stale_s=0.04)
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -83,3 +85,18 @@ def test_nobody_gets_farther_than_people_do_however_wide_the_calibrated_bound_is
     assert nodes.measured is not None
     assert np.allclose(capped, nodes.measured.most(nodes.speeds, horizons))
     assert (capped < 0.5 * free).all()
+
+
+def test_a_velocity_between_images_far_apart_was_so_some_time_ago() -> None:
+    assert staleness(np.array([0.0])) == staleness(np.array([0.0, 0.1])) == 0.0
+    assert np.isclose(staleness(np.array([0.0, 0.1, 0.3])), 0.09)
+    assert np.isclose(staleness(np.array([0.0, 0.4])), 0.2)
+    bound, a = Bound(), Bound().parameters.acceleration
+    assert np.isclose(bound.reachable(0.2, 0.1), a * (0.3**2 - 0.1**2) / 2)
+
+
+def test_who_is_new_may_have_changed_its_velocity_since_it_was_measured() -> None:
+    nodes, bound = of_two(np.full(2, NOW - 0.05), spread=0.0, sigma=0.0, alone=np.ones(2, np.bool_)), Bound()
+    span = Span(np.array([HORIZON_S]), np.ones(1), capped=False)
+    ((new, _),) = reaches(replace(nodes, stale_s=0.1), bound, 1.0, span)
+    assert np.isclose(new, bound.reachable(HORIZON_S, 0.1))

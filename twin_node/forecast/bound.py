@@ -173,16 +173,18 @@ class Bound:
         """What is expected of the errors of nodes with cues [M, CUES]."""
         return Expected(self.scales(now), np.exp(now[:, 1]) - LEAST)
 
-    def radii_of(self, expected: Expected, ages: Float64, horizon_s: float, factor: float = 1.0) -> Float64:
-        """What `radii` does with the cues that this is expected by."""
+    def radii_of(
+        self, expected: Expected, ages: Float64, horizon_s: float, factor: float = 1.0, stale_s: float = 0.0
+    ) -> Float64:
+        """What `radii` does with the cues that this is expected by; `stale_s` as `reachable` has it."""
         calibrated = factor * self.quantile * expected.scales
-        reachable = self.reachable(horizon_s) + expected.spread
+        reachable = self.reachable(horizon_s, stale_s) + expected.spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
         return np.minimum(radii, self.parameters.largest_radius)
 
-    def reachable(self, horizon_s: float) -> float:
-        """How far the largest acceleration takes a node from where its velocity leads, m."""
-        return self.parameters.acceleration * horizon_s**2 / 2
+    def reachable(self, horizon_s: float, stale_s: float = 0.0) -> float:
+        """How far the largest acceleration takes a node from where its velocity of `stale_s` ago leads, m."""
+        return self.parameters.acceleration * (horizon_s**2 / 2 + stale_s * horizon_s)
 
 
 class CoverageControl:

@@ -94,8 +94,8 @@ class Forecaster:
         self._tracks = Tracks()
         self._predictor = self._new_predictor()
         self._pace = Pace()
-        self._begins_anew = False
-        """Whether nothing that is known of motion holds for the next state."""
+        self._begins_anew = True
+        """Whether nothing is known of motion that holds for the next state."""
         self._anew_at = _NEVER
         """Stamp of the last state that nothing known of motion held for, ns."""
         self._depth_at: int | None = None

@@ -14,7 +14,7 @@ from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.neighbours import Closest
 from twin_node.forecast.outlook import Standing, outlook, weighed
-from twin_node.forecast.reaches import Known, Span, reaches
+from twin_node.forecast.reaches import Known, Span, reaches, staleness
 from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import USUAL_ERROR, Records, Rows
 from twin_node.forecast.swerving import Swerves, swerves_of
@@ -202,7 +202,8 @@ class Predictor:
         """What the bounds of the nodes come of."""
         records, now = self._records, float(self._history.times[-1])
         kept = (records.born, records.began, records.turned)
-        return Known(now, self._horizon_s, self._expected, *kept, self._speeds, self._measured)
+        stale_s = staleness(self._history.times)
+        return Known(now, self._horizon_s, self._expected, *kept, self._speeds, self._measured, stale_s)
 
     @property
     def _swerving(self) -> Bool:

@@ -35,6 +35,8 @@ class Known:
     """[M] m/s."""
     measured: Measured | None
     """What is known of these velocities, if they are measured."""
+    stale_s: float = 0.0
+    """How long ago they were these, s (`staleness`)."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,20 @@ class Span:
     """[H] of the calibrated radius at the last of them."""
     capped: bool
     """No radius about a measured velocity exceeds how far people get from it (`Measured.most`)."""
+
+
+def staleness(times: Float64) -> float:
+    """How long ago (s) velocities were those that show between the last two of `times` [T] (s), as far as it counts.
+
+    They are those of the middle between these. Up to `_SOON_S` the reach without it suffices: at ten sets per second
+    and more it held all of a ball that swings with accelerations as foreseen, at five 93 to 97 %, 68 % at worst.
+    """
+    step = float(times[-1] - times[-2]) if len(times) > 1 else 0.0
+    return float(np.clip(step - _SOON_S, 0, step / 2))
+
+
+_SOON_S = 0.11
+"""Ten sets per second, and their jitter, s."""
 
 
 def reaches(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
@@ -69,7 +85,7 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
     given = [None if array is None else np.ascontiguousarray(array) for array in (*by_time, *by_node, *velocities)]
     sizes = (radii.shape[1], len(horizons), span.capped)
     times = (known.now, last, known.horizon_s, WARY * last)
-    lengths = (factor * bound.quantile, bound.reachable(last), bound.parameters.largest_radius)
+    lengths = (factor * bound.quantile, bound.reachable(last, known.stale_s), bound.parameters.largest_radius)
     compiled.reach(
         ReachRequest(
             *sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), *measured.RATES, *addresses_of(*given, radii)
@@ -81,8 +97,9 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
 def reaches_plainly(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
     """What `reaches` does."""
     horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
-    ages, largest, reachable = known.now - known.began, bound.parameters.largest_radius, bound.reachable(last)
-    radii = bound.radii_of(known.expected, ages, last, factor)
+    ages, largest = known.now - known.began, bound.parameters.largest_radius
+    reachable = bound.reachable(last, known.stale_s)
+    radii = bound.radii_of(known.expected, ages, last, factor, known.stale_s)
     wary = known.now - known.turned < WARY * last
     radii = np.where(wary, np.maximum(radii, reachable), radii)
     if told is None:
