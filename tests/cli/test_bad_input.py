@@ -56,11 +56,17 @@ def test_commands_that_advise_a_remap_take_one(
 ) -> None:
     log, rig = str(cell_log(0.5)), str(tmp_path / "rig.yaml")
     Path(rig).write_text(RIG.format(name="elsewhere"))
-    for command in (["calibrate", "check", rig, log], ["train", log, "--rig", rig, "-o", f"{rig}.safetensors"]):
+    of_rig = ["--rig", rig]
+    for command in (
+        ["calibrate", "check", rig, log],
+        ["train", log, *of_rig, "-o", f"{rig}.safetensors"],
+        ["render", log, *of_rig, "-o", f"{rig}.mp4"],
+        ["view", log, *of_rig],
+    ):
         assert main(command) == 2
         assert "--remap the topic to /<camera>/image_raw" in capfd.readouterr().err
         assert main([*command, "--remap", "/nowhere:=/elsewhere/image_raw"]) == 2
-        assert "has no topic /nowhere" in capfd.readouterr().err
+        assert "no topic /nowhere" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("frame", ["cam_front_optical_frame", "tool0"])

@@ -59,6 +59,20 @@ def test_topics_that_nobody_has_spoken_on_are_no_cameras(cell_log: Callable[...,
         assert check_log(log).faults == ()
 
 
+def test_poses_of_cameras_are_found_on_a_topic_that_is_renamed(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """As of a robot with a namespace; without the new name the error says which topic it could be."""
+    spaced = tmp_path / "spaced.mcap"
+    with open_log(cell_log(0.3)) as log, LogWriter(spaced) as written:
+        for message in log.messages():
+            topic = message.topic.replace("/tf_static", "/robot/tf_static")
+            written.write_raw(topic, message.msgtype, message.data, message.stamp)
+    with LogSession(spaced, remaps={"/robot/tf_static": "/tf_static"}) as session:
+        assert len(session.rig.cameras) == 3
+    words = r"spaced.mcap: camera 'cam_back': .*no transforms join it.*--remap /robot/tf_static:=/tf_static"
+    with pytest.raises(GraphError, match=words):
+        LogSession(spaced)
+
+
 def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     names = ur_model("ur5e").joint_names
     with LogSession(with_gripper(cell_log(0.3), tmp_path / "gripper.mcap")) as session:

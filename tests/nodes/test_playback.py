@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from twin_logs import MOMENTS, PERIOD, START, cloud_at
 
-from twin_node.bag import LogWriter
+from twin_node.bag import LogWriter, open_log
 from twin_node.messages import convert
 from twin_node.nodes.export import LogSource
 from twin_node.nodes.overlays import arm_mask
@@ -72,6 +73,41 @@ def test_a_grippers_joints_do_not_hide_the_arms(gripper_log: Path) -> None:
         strange = replace(arm, joint_names=tuple(f"other_{name}" for name in arm.joint_names))
         with pytest.raises(RobotError, match="found finger_joint"):
             arm_mask(playback.at(times[1]), camera, strange)
+
+
+def test_joints_are_unknown_until_the_arm_first_tells_and_known_however_long_ago(tmp_path: Path) -> None:
+    """A gripper's are no other arm's where the arm's are only late, or come no more."""
+    arm, path, finger = ur_model("ur10e"), tmp_path / "late.mcap", ("finger_joint",)
+    told = [(0, finger), (1, arm.joint_names), (2, finger), (1000, finger)]
+    with LogWriter(path) as log:
+        for k, names in told:
+            sample = JointSample(START + k * PERIOD, names, np.full(len(names), 0.3), np.zeros(len(names)))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), sample.stamp)
+    times = [START + k * PERIOD for k in (0, 1, 2, 1000)]
+    with Playback([path]) as playback:
+        moments = LogSource(playback).moments(times, arm, with_clouds=False)
+        assert [None if m.q is None else m.q[0] for m in moments] == [None, 0.3, 0.3, 0.3]
+
+
+def test_topics_are_known_by_the_names_that_they_are_given(
+    twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Images, calibration, poses and joints of another naming, each read under the graph's own."""
+    given = {"cam_left/image_raw/compressed": "/eye/pictures", "cam_left/camera_info": "/eye/info"}
+    given |= {"tf_static": "/robot/tf_static", "joint_states": "/robot/joint_states"}
+    with open_log(cell_log(0.3)) as log, LogWriter(tmp_path / "foreign.mcap") as written:
+        for message in log.messages():
+            topic = given.get(message.topic.removeprefix("/"), message.topic)
+            written.write_raw(topic, message.msgtype, message.data, message.stamp)
+    remaps = {new: f"/{old}" for old, new in given.items()}
+    with Playback([tmp_path / "foreign.mcap"], 80, remaps=remaps) as playback:
+        assert [camera.name for camera in playback.cameras] == ["cam_back", "cam_front", "cam_left"]
+        shown = playback.at(playback.end_ns)
+        assert shown.frames is not None and len(shown.frames.views) == 3
+        assert shown.joints is not None and playback.stamps(JOINT_STATES, 0, playback.end_ns)
+        assert playback.at(playback.start_ns).camera_silent_s("cam_left") == 0.0
+    with pytest.raises(GraphError, match=r"--remap /nowhere:=/tf_static: .*twin.mcap: no topic /nowhere"):
+        Playback([twin_log], remaps={"/nowhere": "/tf_static"})
 
 
 def test_images_come_from_the_log_that_has_them(twin_log: Path, cell_log: object) -> None:

@@ -32,6 +32,11 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
+    add_remap(parser)
+
+
+def add_remap(parser: argparse.ArgumentParser) -> None:
+    """New names for topics of a log."""
     parser.add_argument(
         "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
     )

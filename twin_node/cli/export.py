@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, rate, refuse_given
+from twin_node.cli.arguments import add_remap, not_negative, rate, refuse_given
 from twin_node.cli.playback import open_playback
 from twin_node.cli.progress import counted
+from twin_node.errors import TwinError
 
 
 def add_export(commands: Any) -> None:
@@ -32,6 +33,7 @@ def add_export(commands: Any) -> None:
     export.add_argument("--start", type=not_negative, metavar="S", help="range: from here (default 0)")
     export.add_argument("--stop", type=not_negative, metavar="S", help="range: up to here (default the log's end)")
     export.add_argument("--rate", type=rate, metavar="HZ", help="range: moments per second (default 30)")
+    add_remap(export)
     export.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     export.set_defaults(run=_export)
 
@@ -46,20 +48,22 @@ def _export(options: argparse.Namespace) -> None:
     else:
         span = ExportSpan(options.start or 0.0, options.stop, options.rate or 30.0)
     arm = arm_model(options.arm)
-    with _open(options.log) as source, counted("export", "moment") as show:
+    with _open(options.log, options.remap) as source, counted("export", "moment") as show:
         count = export(source, options.to, span, arm, options.output, show)
     print(f"{options.output}: {count} moments")
 
 
 @contextlib.contextmanager
-def _open(paths: list[Path]) -> Iterator[Any]:
+def _open(paths: list[Path], remaps: list[str]) -> Iterator[Any]:
     """The source that the paths name: a checkpoint alone, or the logs of a run."""
     from twin_node.model.sequence import SUFFIX
     from twin_node.nodes.export import LogSource
     from twin_node.nodes.export.checkpoint import CheckpointSource
 
     if len(paths) == 1 and paths[0].suffix == SUFFIX:
+        if remaps:
+            raise TwinError(f"--remap: expected with a log; {paths[0]} is a checkpoint, which has no topics")
         yield CheckpointSource(paths[0])
         return
-    with open_playback(paths, with_images=False) as playback:
+    with open_playback(paths, with_images=False, remaps=remaps) as playback:
         yield LogSource(playback)

@@ -14,16 +14,21 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_playback(
-    logs: Sequence[Path], width: int | None = None, rig: Path | None = None, with_images: bool = True
+    logs: Sequence[Path],
+    width: int | None = None,
+    rig: Path | None = None,
+    with_images: bool = True,
+    remaps: Sequence[str] = (),
 ) -> Iterator[Playback]:
     """The logs of a run, open; says what of them cannot be read: at once, or at the end where only reading told.
 
     Says too which of them are of another time: the last images before it would be shown as if they were of it.
-    `width`: of the images, px; `rig`: a rig file; without images no calibration is needed.
+    `width`: of the images, px; `rig`: a rig file; without images no calibration is needed; `remaps`: FROM:=TO.
     """
     from twin_node.nodes.playback import Playback
+    from twin_node.nodes.topics import parse_remaps
 
-    with Playback(logs, width, rig, with_images) as playback:
+    with Playback(logs, width, rig, with_images, parse_remaps(remaps)) as playback:
         known = playback.damage
         _warn((*known, *playback.left_out, *playback.apart))
         try:

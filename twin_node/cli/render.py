@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import check_output, not_negative, rate, refuse_given, width
+from twin_node.cli.arguments import add_remap, check_output, not_negative, rate, refuse_given, width
 from twin_node.cli.playback import open_playback
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def add_render(commands: Any) -> None:
         "--width", type=width, default=480, metavar="PX", help="width of one camera's picture (default 480)"
     )
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
+    add_remap(render)
     render.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     render.set_defaults(run=_render)
 
@@ -52,7 +53,7 @@ def _render(options: argparse.Namespace) -> None:
     check_output(options.output, FILM, *PICTURES)
     is_film = options.output.suffix == FILM
     span = _span_of(options, is_film)
-    with open_playback(options.log, options.width, options.rig) as playback:
+    with open_playback(options.log, options.width, options.rig, remaps=options.remap) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
         film = Film(playback, view, options.width, arm_model(options.arm), options.camera)
         stamps = span.stamps(playback.start_ns, playback.end_ns)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, port, refuse_given, width
+from twin_node.cli.arguments import add_remap, not_negative, port, refuse_given, width
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
 
@@ -29,6 +29,7 @@ def add_view(commands: Any) -> None:
         "--endpoint", metavar="ADDRESS", help="with --live: the graph's router (default tcp/127.0.0.1:7447)"
     )
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
+    add_remap(view)
     view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
     view.add_argument("--width", type=width, metavar="PX", help="width of the images (default 320 of logs, 160 live)")
     view.add_argument("--at", type=not_negative, metavar="S", help="begin S seconds into the log (default 0)")
@@ -44,11 +45,22 @@ def _view(options: argparse.Namespace) -> None:
         raise TwinError("view: expected a LOG, or --live for the running graph; give one of them")
     if options.live:
         refuse_given(options, ("at",), "expected with a LOG; the running graph has no other time than now")
+        if options.remap:
+            raise TwinError("--remap: expected with a LOG; a graph's topics are renamed where they are launched")
         _view_graph(options)
         return
     if options.endpoint:
         raise TwinError("view: --endpoint is for --live; leave it out to look at a log")
-    view_log(options.log, options.rig, options.arm, options.width or 320, options.at or 0.0, options.host, options.port)
+    view_log(
+        options.log,
+        options.rig,
+        options.arm,
+        options.width or 320,
+        options.at or 0.0,
+        options.host,
+        options.port,
+        options.remap,
+    )
 
 
 def view_log(
@@ -59,6 +71,7 @@ def view_log(
     at_s: float = 0.0,
     host: str = "127.0.0.1",
     port: int = 8080,
+    remaps: Sequence[str] = (),
 ) -> None:
     """Shows the logs of a run until interrupted; says where."""
     with _interrupts() as is_interrupted:
@@ -66,7 +79,7 @@ def view_log(
         from twin_node.robot import arm_model
 
         model = arm_model(arm)
-        with open_playback(logs, images_px, rig) as playback:
+        with open_playback(logs, images_px, rig, remaps=remaps) as playback:
             length_s = (playback.end_ns - playback.start_ns) / 1e9
             if at_s > length_s:
                 raise TwinError(f"--at {at_s:g}: expected a time inside the log's 0 to {length_s:.3f} s")

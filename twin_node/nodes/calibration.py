@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from twin_node.bag import LogReader
+from twin_node.bag.latched import is_of_several
 from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.contents import content_of
-from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, absolute
+from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError
 from twin_node.rig import load_rig
 from twin_node.scene import Float64, Rig
 
@@ -23,16 +24,19 @@ ANOTHER_LENS = 0.05
 """Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
 
 
-def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None) -> Rig:
+def rig_for(
+    log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None, tf_static: str = TF_STATIC
+) -> Rig:
     """The rig of the cameras that the log has images of: the one given (or its file), else the log's own calibration.
 
-    Raises `GraphError` naming the camera that lacks images or calibration.
+    `cameras`, `tf_static`: topics as the log calls them; the latter holds the cameras' poses. Raises `GraphError`
+    naming the camera that lacks images or calibration.
     """
     if isinstance(rig_file, Rig):
         return _matched(rig_file, cameras, "the rig", log.path)
     if rig_file is not None:
         return _matched(load_rig(rig_file).rig, cameras, str(rig_file), log.path)
-    return _rig_of_log(log, cameras)
+    return _rig_of_log(log, cameras, tf_static)
 
 
 @contextlib.contextmanager
@@ -112,8 +116,8 @@ def _pinhole(info: Any) -> Float64:
     return np.array([K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height])
 
 
-def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
-    infos, tree = _calibration_messages(log, cameras)
+def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str) -> Rig:
+    infos, tree = _calibration_messages(log, cameras, tf_static)
     record = read_rig_record(log)
     calibrated = []
     for camera in cameras:
@@ -123,7 +127,7 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
                 f"{log.path}: camera '{camera.name}' has images on {camera.image} but no CameraInfo on {camera.info}; "
                 "record it, or give --rig RIG.yaml"
             )
-        T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
+        T_base_cam = _pose(log, camera, info, tree, tf_static)
         found = rig_camera(info, camera.name, T_base_cam, record.sigmas_m.get(camera.name, 0.0))
         if clock := record.clocks.get(camera.name):
             found = replace(
@@ -136,14 +140,25 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
     return Rig(tuple(calibrated), record.workspace)
 
 
-def _calibration_messages(log: LogReader, cameras: Sequence[CameraTopics]) -> tuple[dict[str, Any], TransformTree]:
+def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, tf_static: str) -> Float64:
+    """[4, 4] the camera's pose in the base. Raises `GraphError` where the log does not tell it."""
+    try:
+        return tree.lookup(info.header.frame_id.lstrip("/"))
+    except MessageError as error:
+        others = [topic.name for topic in log.topics if topic.name != tf_static and is_of_several(topic.name)]
+        hint = f"; there are some on {', '.join(others)}: --remap {others[0]}:={TF_STATIC}" if others else ""
+        raise GraphError(f"{log.path}: camera '{camera.name}': {error}{hint}") from None
+
+
+def _calibration_messages(
+    log: LogReader, cameras: Sequence[CameraTopics], tf_static: str
+) -> tuple[dict[str, Any], TransformTree]:
     """First CameraInfo of every camera by topic, and the static transforms up to where the last of them was found."""
     wanted = {camera.info for camera in cameras}
     infos: dict[str, Any] = {}
     tree = TransformTree()
-    placing = {topic.name for topic in log.topics if absolute(topic.name) == TF_STATIC}
-    for message in log.messages([*wanted, *placing]):
-        if message.topic in placing:
+    for message in log.messages([*wanted, tf_static]):
+        if message.topic == tf_static:
             tree.add(content_of(message, log))
         elif message.topic not in infos:
             infos[message.topic] = content_of(message, log)

@@ -14,9 +14,10 @@ from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.renaming import renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, CameraTopics, GraphError, find_cameras
+from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, TF_STATIC, CameraTopics, GraphError, find_cameras
 from twin_node.scene import RigCamera
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -175,8 +176,9 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
 
 
 def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
+    names = renamed(log)
     try:
-        cameras = find_cameras(log.spoken, str(log.path))
+        cameras = [names.original_camera(camera) for camera in find_cameras(names.spoken, str(log.path))]
     except GraphError as error:
         return [str(error)]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
@@ -187,7 +189,7 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     else:
         faults = []
     try:
-        rig = rig_for(log, cameras, None)
+        rig = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:
         return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
     known = {camera.name: camera for camera in rig.cameras}

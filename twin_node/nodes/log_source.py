@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from twin_node.bag import LogReader, open_log
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.player import Player, Span, span_of
+from twin_node.nodes.renaming import renamed
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError, absolute, find_cameras
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics, find_cameras
 from twin_node.rig import workspace_of
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -33,16 +34,13 @@ class LogSession:
     ) -> None:
         """Raises `BagError`, `RigError` or `GraphError` for whatever is wrong with log, calibration or new names."""
         self._opened = (path, rig_file, remaps, start_offset_s, duration_s)
-        remaps = remaps or {}
         self.log: LogReader = open_log(path)
         try:
-            original = _named([topic.name for topic in self.log.topics], remaps, path)
-            spoken = self.log.spoken
-            renamed = {name: spoken[source] for name, source in original.items() if source in spoken}
+            names = renamed(self.log, remaps)
             with damage_first(self.log):
-                self.cameras: tuple[CameraTopics, ...] = find_cameras(renamed, str(path))
-                in_log = tuple(_originals(camera, original) for camera in self.cameras)
-                self.rig: Rig = rig_for(self.log, in_log, rig_file)
+                self.cameras: tuple[CameraTopics, ...] = find_cameras(names.spoken, str(path))
+                in_log = tuple(names.original_camera(camera) for camera in self.cameras)
+                self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
                 check_depth(self.log, in_log)
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
         except BaseException:
@@ -51,7 +49,7 @@ class LogSession:
         played = {JOINT_STATES, TRAJECTORY}
         for camera in self.cameras:
             played |= {camera.image} | ({camera.depth} if camera.depth else set())
-        self.topics = {original[name]: name for name in sorted(played) if name in original}
+        self.topics = {names.original(name): name for name in sorted(played) if name in names.types}
         """The log's topics to play -> the names they are published under."""
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -115,37 +113,3 @@ class LogSource:
 def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:
     """[2, 3] corners of the volume to model, m: the rig's own, else derived from what the cameras see together."""
     return workspace_of(cameras) if rig.workspace is None else rig.workspace
-
-
-def _named(topics: Iterable[str], remaps: Mapping[str, str], path: Path) -> dict[str, str]:
-    """Names that topics are published under, a slash before those that have none -> their names in the log.
-
-    Raises `GraphError` for a remap of a topic that is not there, and where two would have one name.
-    """
-    held = {absolute(topic): topic for topic in topics}
-    named: dict[str, str] = {}
-    for source in remaps:
-        if source not in held:
-            raise GraphError(f"--remap {source}:={remaps[source]}: {path} has no topic {source}")
-    for source, topic in held.items():
-        name = remaps.get(source, source)
-        if name in named:
-            raise GraphError(
-                f"--remap: expected one topic of {path} as {name}, found {named[name]} and {topic}; rename one of them "
-                "to something else"
-            )
-        named[name] = topic
-    return named
-
-
-def _originals(camera: CameraTopics, original: Mapping[str, str]) -> CameraTopics:
-    """The camera's topics under the names they have in the log."""
-    return CameraTopics(
-        name=camera.name,
-        image=original.get(camera.image, camera.image),
-        image_type=camera.image_type,
-        info=original.get(camera.info, camera.info),
-        depth=None if camera.depth is None else original.get(camera.depth, camera.depth),
-        depth_type=camera.depth_type,
-        depth_info=None if camera.depth_info is None else original.get(camera.depth_info, camera.depth_info),
-    )

@@ -14,6 +14,7 @@ from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.bag.latched import newest_before
 from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.calibration import damage_first, rig_for
+from twin_node.nodes.renaming import Renamed, of_log, renamed
 from twin_node.nodes.topics import (
     GAUSSIANS,
     GAUSSIANS_MOVING,
@@ -23,6 +24,7 @@ from twin_node.nodes.topics import (
     RECORDED,
     SEPARATION,
     STATUS,
+    TF_STATIC,
     TRAJECTORY,
     CameraTopics,
     GraphError,
@@ -66,8 +68,16 @@ Earlier = Callable[[str, int], Sequence[Said]]
 """What was said on a topic in so many ns before a time, and at it, oldest first."""
 
 
+JointsBegin = Callable[[frozenset[str]], int | None]
+"""When a sample with all of some joints first comes, ns; None: never, or nobody can tell yet."""
+
+
 def _nothing(_topic: str, _ns: int) -> Sequence[Said]:
     return ()
+
+
+def _never(_names: frozenset[str]) -> int | None:
+    return None
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,7 @@ class Snapshot:
     cameras: Mapping[str, CameraTopics]
     assembler: FrameAssembler | None
     earlier: Earlier = _nothing
+    joints_begin: JointsBegin = _never
 
     @cached_property
     def cloud(self) -> GaussianCloud | None:
@@ -139,12 +150,16 @@ class Snapshot:
     def joints_of(self, names: Collection[str]) -> JointSample | None:
         """The newest joints among which are all of `names`: a gripper's come on the same topic as the arm's.
 
-        Where none such were said of late, the newest of all, whose names tell what came instead; None before the first.
+        None before the first. Where they never come, or none have come of late to who cannot look further back, the
+        newest of all, whose names tell what came instead.
         """
         newest, wanted = self.joints, frozenset(names)
         if newest is None or wanted.issubset(newest.names):
             return newest
-        for reach in JOINTS_REACHES_NS:
+        begin = self.joints_begin(wanted)
+        if begin is not None and begin > self.stamp:
+            return None
+        for reach in JOINTS_REACHES_NS if begin is None else (*JOINTS_REACHES_NS, self.stamp - begin):
             for said in reversed(self.earlier(JOINT_STATES, reach)):
                 sample = convert.joint_sample_from_message(said.message)
                 if wanted.issubset(sample.names):
@@ -195,16 +210,19 @@ class Playback:
         width: int | None = None,
         rig_file: Path | None = None,
         with_images: bool = True,
+        remaps: Mapping[str, str] | None = None,
     ) -> None:
         """`width`: of the images, px; without images their calibration is not asked for.
 
-        Raises `BagError`, `RigError` or `GraphError` for what is wrong with a log.
+        `remaps`: names of topics in the logs -> those that they are known by here, all absolute. Raises `BagError`,
+        `RigError` or `GraphError` for what is wrong with a log or a new name.
         """
         self._logs: list[LogReader] = []
         try:
             for path in paths:
                 self._logs.append(open_log(path))
-            self.topics: Mapping[str, LogReader] = _holders(self._logs)
+            self._names = self._renamed(remaps or {})
+            self._topics = _holders(self._logs, self._names)
             self._cameras, self._assembler = self._find_cameras(width, rig_file) if with_images else ({}, None)
             self.start_ns, self.end_ns = self._span()
         except BaseException:
@@ -212,6 +230,7 @@ class Playback:
             raise
         self._last_stamp: int | None = None
         self._said: dict[str, LogMessage] = {}
+        self._begun: dict[frozenset[str], int | None] = {}
 
     @property
     def name(self) -> str:
@@ -245,7 +264,7 @@ class Playback:
     @property
     def has_twin(self) -> bool:
         """Whether a log holds what a twin publishes."""
-        return any(topic in self.topics for topic in RECORDED)
+        return any(topic in self._topics for topic in RECORDED)
 
     def at(self, stamp: int) -> Snapshot:
         """What had been said by log time `stamp` (ns). Rising stamps cost only what lies between them."""
@@ -255,19 +274,18 @@ class Playback:
         else:
             self._said = self._look_back(stamp)
         self._last_stamp = stamp
-        return Snapshot(stamp, self._said, self._cameras, self._assembler, partial(self._before, stamp))
+        earlier = partial(self._before, stamp)
+        return Snapshot(stamp, self._said, self._cameras, self._assembler, earlier, self._joints_begin)
 
     def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
         """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""
-        if topic not in self.topics:
-            return []
-        return [entry.stamp for entry in self.topics[topic].messages([topic], start_ns, stop_ns)]
+        return [entry.stamp for entry in self._messages(topic, start_ns, stop_ns)]
 
     def require(self, topic: str, purpose: str) -> None:
         """Raises `GraphError` where no log has a topic that is needed for `purpose`."""
-        if topic not in self.topics:
+        if topic not in self._topics:
             raise GraphError(
-                f"{self.name}: expected {topic}, which {purpose} needs, found {', '.join(sorted(self.topics))}; "
+                f"{self.name}: expected {topic}, which {purpose} needs, found {', '.join(sorted(self._topics))}; "
                 "give a log that 'twin_node replay LOG -o FILE' has written"
             )
 
@@ -283,23 +301,44 @@ class Playback:
         self.close()
 
     def _before(self, stamp: int, topic: str, ns: int) -> Sequence[LogMessage]:
-        if topic not in self.topics:
-            return ()
-        return tuple(self.topics[topic].messages([topic], stamp - ns, stamp + 1))
+        return tuple(self._messages(topic, stamp - ns, stamp + 1))
+
+    def _joints_begin(self, names: frozenset[str]) -> int | None:
+        if names not in self._begun:
+            told = self._messages(JOINT_STATES)
+            stamps = (entry.stamp for entry in told if names.issubset(entry.message.name))
+            self._begun[names] = next(stamps, None)
+        return self._begun[names]
+
+    def _messages(self, topic: str, start_ns: int | None = None, stop_ns: int | None = None) -> Iterator[LogMessage]:
+        if topic in self._topics:
+            place = self._topics[topic]
+            original = self._names[place].original(topic)
+            yield from self._logs[place].messages([original], start_ns, stop_ns)
+
+    def _renamed(self, remaps: Mapping[str, str]) -> tuple[Renamed, ...]:
+        """Each log's topics by their new names. Raises `GraphError` for a remap of what no log has."""
+        of_logs = [of_log(remaps, log) for log in self._logs]
+        for source in remaps:
+            if not any(source in known for known in of_logs):
+                raise GraphError(f"--remap {source}:={remaps[source]}: {self.name}: no topic {source}")
+        return tuple(renamed(log, known) for log, known in zip(self._logs, of_logs, strict=True))
 
     def _span(self) -> tuple[int, int]:
         """The time in which there is something of the twin to see; of the images where there is no twin."""
-        twin = [log for log in self._logs if any(topic.name in RECORDED for topic in log.topics)] or self._logs
+        known = zip(self._logs, self._names, strict=True)
+        twin = [log for log, names in known if any(topic in RECORDED for topic in names.types)] or self._logs
         return max(log.start_ns for log in twin), max(log.end_ns for log in twin)
 
     def _find_cameras(
         self, width: int | None, rig_file: Path | None
     ) -> tuple[Mapping[str, CameraTopics], FrameAssembler | None]:
-        for log in self._logs:
-            if any(kind in IMAGE_TYPES for kind in log.spoken.values()):
+        for log, names in zip(self._logs, self._names, strict=True):
+            if any(kind in IMAGE_TYPES for kind in names.spoken.values()):
                 with damage_first(log):
-                    cameras = find_cameras(log.spoken, str(log.path))
-                    rig = rig_for(log, cameras, rig_file)
+                    cameras = find_cameras(names.spoken, str(log.path))
+                    in_log = tuple(names.original_camera(camera) for camera in cameras)
+                    rig = rig_for(log, in_log, rig_file, names.original(TF_STATIC))
                 calibrated = {camera.name for camera in rig.cameras}
                 known = {camera.name: camera for camera in cameras if camera.name in calibrated}
                 return known, FrameAssembler(rig.cameras, width)
@@ -314,27 +353,28 @@ class Playback:
         """The newest message of every topic up to `stamp`, looking back further where some are still missing."""
         found: dict[str, LogMessage] = {}
         for log, own in self._owned():
-            found |= newest_before(log, own, stamp + 1)
+            found.update((own[topic], entry) for topic, entry in newest_before(log, own, stamp + 1).items())
         return found
 
     def _newest(self, start: int, stop: int) -> dict[str, LogMessage]:
         newest: dict[str, LogMessage] = {}
         for log, own in self._owned():
-            newest.update((entry.topic, entry) for entry in log.messages(own, start, stop))
+            newest.update((own[entry.topic], entry) for entry in log.messages(list(own), start, stop))
         return newest
 
-    def _owned(self) -> Iterator[tuple[LogReader, list[str]]]:
-        """Each log with the topics that are read from it; see `_holders`."""
-        for log in self._logs:
-            own = [topic for topic, holder in self.topics.items() if holder is log]
+    def _owned(self) -> Iterator[tuple[LogReader, Mapping[str, str]]]:
+        """Each log with the topics that are read from it, see `_holders`: what it calls them -> their names here."""
+        for place, (log, names) in enumerate(zip(self._logs, self._names, strict=True)):
+            own = {names.original(topic): topic for topic, holder in self._topics.items() if holder == place}
             if own:
                 yield log, own
 
 
-def _holders(logs: Sequence[LogReader]) -> dict[str, LogReader]:
-    """Topic -> the log that it is read from: the last that has messages of it, or that names it where none has any."""
-    told = [(topic, log) for log in logs for topic in log.topics]
-    return {topic.name: log for topic, log in sorted(told, key=lambda of: of[0].count > 0)}
+def _holders(logs: Sequence[LogReader], names: Sequence[Renamed]) -> Mapping[str, int]:
+    """Topic -> which log it is read from: the last that has messages of it, or that names it where none has any."""
+    counts = [{topic.name: topic.count for topic in log.topics} for log in logs]
+    told = [(topic, place) for place, known in enumerate(names) for topic in known.types]
+    return dict(sorted(told, key=lambda of: counts[of[1]][names[of[1]].original(of[0])] > 0))
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
@@ -110,7 +110,7 @@ class CameraTopics:
     """Where the depth's own calibration is; None where there is none."""
 
 
-def parse_remaps(remaps: list[str]) -> dict[str, str]:
+def parse_remaps(remaps: Sequence[str]) -> dict[str, str]:
     """`from:=to` pairs as a mapping. Raises `GraphError` for anything else, and where `to` cannot be a topic's name."""
     pairs = {}
     for remap in remaps:

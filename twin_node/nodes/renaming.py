@@ -1,0 +1,68 @@
+"""The topics of a log under the names that the graph knows them by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from twin_node.bag import LogReader
+from twin_node.nodes.topics import CameraTopics, GraphError, absolute
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A log's topics by their new names: renamed ones, and a slash before those that have none."""
+
+    originals: Mapping[str, str]
+    """New name -> the log's own."""
+    types: Mapping[str, str]
+    """New name -> type of its messages."""
+    spoken: Mapping[str, str]
+    """The same of the topics that have messages; see `LogReader.spoken`."""
+
+    def original(self, topic: str) -> str:
+        """What the log calls a topic; one that it does not have keeps its name."""
+        return self.originals.get(topic, topic)
+
+    def original_camera(self, camera: CameraTopics) -> CameraTopics:
+        """The camera's topics as the log calls them."""
+        return replace(
+            camera,
+            image=self.original(camera.image),
+            info=self.original(camera.info),
+            depth=None if camera.depth is None else self.original(camera.depth),
+            depth_info=None if camera.depth_info is None else self.original(camera.depth_info),
+        )
+
+
+def renamed(log: LogReader, remaps: Mapping[str, str] | None = None) -> Renamed:
+    """A log's topics with new names for some of them, absolute name -> absolute name.
+
+    Raises `GraphError` for a remap of a topic that is not there, and where two would have one name.
+    """
+    remaps = remaps or {}
+    held = {absolute(topic.name): topic for topic in log.topics}
+    for source in remaps:
+        if source not in held:
+            raise GraphError(f"--remap {source}:={remaps[source]}: {log.path} has no topic {source}")
+    originals: dict[str, str] = {}
+    for source, topic in held.items():
+        name = remaps.get(source, source)
+        if name in originals:
+            raise GraphError(
+                f"--remap: expected one topic of {log.path} as {name}, found {originals[name]} and {topic.name}; "
+                "rename one of them to something else"
+            )
+        originals[name] = topic.name
+    types = {topic.name: topic.msgtype for topic in log.topics}
+    return Renamed(
+        originals,
+        {name: types[original] for name, original in originals.items()},
+        {name: types[original] for name, original in originals.items() if original in log.spoken},
+    )
+
+
+def of_log(remaps: Mapping[str, str], log: LogReader) -> dict[str, str]:
+    """Those of some remaps whose topic a log has."""
+    held = {absolute(topic.name) for topic in log.topics}
+    return {source: name for source, name in remaps.items() if source in held}
