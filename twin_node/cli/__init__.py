@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import errno
+import io
 import os
 import select
 import sys
 
 from twin_node import __version__
+from twin_node.cli.ending import Terminated, ended_in_order
+from twin_node.cli.parser import Parser, with_home
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 
@@ -21,21 +24,26 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 done, 2 wrong input, 130 interrupted, or the command's own.
 
-    141 where who reads what it prints has gone (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
+    143 and 129 where SIGTERM or SIGHUP has ended it, in order too; 141 where who reads what it prints has gone
+    (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
     """
     collect_rarely()
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what the terminal has no letter for
     try:
-        options = _parser().parse_args(arguments)
-        status = options.run(options)
-        sys.stdout.flush()
+        with ended_in_order():
+            options = with_home(_parser().parse_args(arguments))
+            status = options.run(options)
+            sys.stdout.flush()
     except TwinError as error:
         print(f"twin_node: error: {error}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, ImportError) as error:
-        if not _is_interrupted(error):
+    except (KeyboardInterrupt, Terminated, ImportError) as error:
+        end = _end_of(error)
+        if end is None:
             raise
-        print("twin_node: interrupted", file=sys.stderr)
-        return 130
+        print(f"twin_node: {'terminated' if isinstance(end, Terminated) else 'interrupted'}", file=sys.stderr)
+        return end.status if isinstance(end, Terminated) else 130
     except BrokenPipeError:
         if not _is_unread():
             raise
@@ -52,11 +60,11 @@ def main(arguments: list[str] | None = None) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _is_interrupted(error: BaseException | None) -> bool:
-    """Whether it is an interrupt, or comes of one: compiled modules make an `ImportError` of one while they load."""
-    while not (error is None or isinstance(error, KeyboardInterrupt)):
+def _end_of(error: BaseException | None) -> KeyboardInterrupt | Terminated | None:
+    """The interrupt that it is, or comes of: compiled modules make an `ImportError` of one while they load."""
+    while not (error is None or isinstance(error, KeyboardInterrupt | Terminated)):
         error = error.__cause__
-    return error is not None
+    return error
 
 
 def _is_unread() -> bool:
@@ -93,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     from twin_node.cli.ur_sim import add_ur_sim
     from twin_node.cli.view import add_view
 
-    parser = argparse.ArgumentParser(prog="twin_node", description="A live 4D Gaussian twin of a robot cell.")
+    parser = Parser(prog="twin_node", description="A live 4D Gaussian twin of a robot cell.")
     parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     add_replay(commands)

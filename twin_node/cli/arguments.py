@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twin_node.cli.parser import at_home
 from twin_node.errors import TwinError
 from twin_node.ranges import WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
@@ -91,7 +92,7 @@ def port(text: str) -> int:
 
 def file_to_write(text: str) -> Path:
     """A file that can be made when the work is done: a wrong name is told before."""
-    path = Path(text)
+    path = at_home(Path(text))
     if not _is_writable(path):
         raise argparse.ArgumentTypeError(f"{text}: {_WRITABLE}")
     if is_taken(path):

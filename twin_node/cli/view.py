@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Any
 
 from twin_node.cli.arguments import add_remap, not_negative, port, refuse_given, width
+from twin_node.cli.ending import SIGNALS, ended_by
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
 
@@ -93,25 +94,31 @@ def view_log(
                 viewer.run(is_interrupted)
             finally:
                 page.close()
-        if is_interrupted():
-            raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Tells whether there was a Ctrl-C: what loads for seconds, some of it at the first picture, may swallow it."""
-    came = False
+    """Tells whether there was a Ctrl-C or the like: what loads for seconds, some of it at the first picture, may
+    swallow what that raised; it is raised again in the end."""
+    came: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal came
-        came = True
-        signal.default_int_handler(number, frame)
+        came.append(number)
+        handler = before[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
 
-    before = signal.signal(signal.SIGINT, interrupt)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *SIGNALS)}
+    for number, handler in before.items():
+        if callable(handler) or number is signal.SIGINT:
+            signal.signal(number, interrupt)
     try:
-        yield lambda: came
+        yield lambda: bool(came)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise ended_by(came[0])
 
 
 def _view_graph(options: argparse.Namespace) -> None:

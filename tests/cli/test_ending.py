@@ -1,0 +1,69 @@
+"""A command that is told to end does so in order, whoever tells it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from twin_node import cli
+from twin_node.bag import LogWriter
+from twin_node.cli import view
+from twin_node.cli.ending import Terminated, ended_in_order
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_nothing_half_written_is_left_and_handlers_are_as_before(
+    number: signal.Signals, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by `timeout`, systemd, or a terminal that was closed: a NAME.partial would keep the next run from writing."""
+
+    def write(_options: object) -> None:
+        with LogWriter(tmp_path / "log.mcap"):
+            assert list(tmp_path.iterdir())
+            signal.raise_signal(number)
+
+    monkeypatch.setattr("twin_node.cli.logs._info", write)
+    before = signal.getsignal(number)
+    assert cli.main(["info", "log.mcap"]) == status
+    assert signal.getsignal(number) is before
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_what_a_signal_has_made_fail_is_no_failure(
+    number: signal.Signals, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of MuJoCo, whose loading turns what a handler raises into an ImportError."""
+
+    def load(_options: object) -> None:
+        try:
+            signal.raise_signal(number)
+        except BaseException as error:
+            raise ImportError("initialization failed") from error
+
+    monkeypatch.setattr("twin_node.cli.logs._info", load)
+    assert cli.main(["info", "log.mcap"]) == status
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    """As `nohup` has it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ended_in_order():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_page_ends_though_what_loads_has_swallowed_the_signal() -> None:
+    def swallowing(is_interrupted: Callable[[], bool]) -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Terminated:
+            assert is_interrupted()
+
+    with pytest.raises(Terminated), ended_in_order(), view._interrupts() as is_interrupted:
+        swallowing(is_interrupted)

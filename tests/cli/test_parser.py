@@ -1,0 +1,47 @@
+"""The command line as people write it: arguments between options, and paths from home."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+from twin_node.cli import main
+from twin_node.cli.arguments import file_to_write
+from twin_node.cli.parser import Parser, with_home
+
+
+def test_arguments_stand_anywhere_between_options() -> None:
+    parser = Parser()
+    launch = parser.add_subparsers().add_parser("launch")
+    launch.add_argument("file")
+    launch.add_argument("arguments", nargs="*")
+    launch.add_argument("-p", action="append", default=[])
+    options = parser.parse_args(["launch", "a.yaml", "-p", "x", "b:=1", "-p", "y", "c:=2"])
+    assert (options.file, options.arguments, options.p) == ("a.yaml", ["b:=1", "c:=2"], ["x", "y"])
+    assert parser.parse_args(["launch", "-p", "x", "a.yaml", "b:=1"]).arguments == ["b:=1"]
+    for wrong in (["launch", "-p", "x"], ["launch", "a.yaml", "--nope"], ["nope"]):
+        with pytest.raises(SystemExit):
+            parser.parse_args(wrong)
+
+
+def test_paths_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--report=~/run` would else make a folder of the name `~`, which nobody dares to remove."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    parser = Parser()
+    parser.add_argument("--report", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+")
+    options = with_home(parser.parse_args(["--report=~/run", "~/a.mcap", "~b.mcap", "c/~"]))
+    assert options.report == tmp_path / "run"
+    assert options.logs == [tmp_path / "a.mcap", Path("~b.mcap"), Path("c/~")]
+    assert file_to_write("~/film.mp4") == tmp_path / "film.mp4"
+
+
+def test_a_name_that_the_terminal_has_no_letters_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
+    monkeypatch.setattr("twin_node.cli.logs._info", lambda options: print(options.log))
+    assert main(["info", "ü.mcap"]) == 0
+    assert raw.getvalue() == b"\\xfc.mcap\n"
