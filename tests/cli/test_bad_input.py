@@ -262,3 +262,12 @@ def test_a_full_disk_that_takes_no_more_output_is_named() -> None:
         done = subprocess.run([*words, "--list-faults"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "twin_node: error: no room for what it writes: No space left on device; free some\n"
+
+
+def test_a_report_where_the_log_goes_is_refused_before_the_run(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "run")
+    assert main(["replay", str(cell_log(0.5)), "-o", out, "--report", out]) == 2
+    assert "expected another place than that of -o" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

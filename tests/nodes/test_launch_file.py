@@ -227,3 +227,23 @@ def test_parameter_files_win_over_the_launch_file_and_the_command_line_over_them
     second.write_text("plaer: {ros__parameters: {rate: 4.0}}")
     with pytest.raises(TwinError, match=r"second.yaml: parameters: unknown node 'plaer'; did you mean 'player'"):
         read_launch_file(small, ["log:=a"], [], [second])
+
+
+def test_parameter_files_that_ship_are_found_from_anywhere(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `replay --params` and the launch file itself are."""
+    monkeypatch.chdir(tmp_path)
+    plan = read_launch_file(small, ["log:=a"], [], [Path("launch/demo.yaml")])
+    assert plan.sections["arm"] == {"model": "ur5e"}
+
+
+def test_arguments_begin_at_home(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/somebody")
+    assert read_launch_file(small, ["log:=~/a.mcap"]).sections["player"]["log"] == "/home/somebody/a.mcap"
+
+
+def test_arguments_for_which_nothing_runs_are_told() -> None:
+    words = r"nothing to run with role:=twinn: .*twin: twinn == twin.*--show-args"
+    with pytest.raises(TwinError, match=words):
+        read_launch_file("launch/two_machines.yaml", ["role:=twinn"])

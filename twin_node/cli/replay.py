@@ -63,7 +63,7 @@ def _replay(options: argparse.Namespace) -> None:
 
     parameters = with_source_options(load_parameters(options.params), options)
     _check_output(options.output, options.log)
-    _check_report(options.report)
+    _check_report(options.report, options.output)
     _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
     for line in session.log.left_out:
@@ -166,8 +166,10 @@ def _check_output(output: Path | None, log: Path) -> None:
         raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
 
 
-def _check_report(folder: Path | None) -> None:
+def _check_report(folder: Path | None, output: Path | None) -> None:
     """Refuses before the run what cannot be written after it; the folder is made only then."""
+    if folder is not None and output is not None and folder.resolve() == output.resolve():
+        raise TwinError(f"--report {folder}: expected another place than that of -o; give another folder")
     there = None if folder is None else next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if there is not None and not (there.is_dir() and os.access(there, os.W_OK)):
         raise TwinError(f"--report {folder}: expected a folder, or a place to make one, found {there}; give another")

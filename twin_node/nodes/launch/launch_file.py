@@ -103,14 +103,14 @@ def read_launch_file(
         if _is_wanted(entry)
     )
     if not processes:
-        raise GraphError(f"{path}: expected at least one process under launch: processes, found none")
+        raise GraphError(_nothing_to_run(path, entries, given))
     _check_nodes_once(processes, path)
     is_lockstep = _flag(section, "lockstep", False, f"{path}: {LAUNCH}")
     if is_lockstep:
         _check_lockstep(processes, path)
     sections = _substituted(read_parameters(path), values)
     for file in parameter_files:
-        given_here = read_parameters(file)
+        given_here = read_parameters(resources.find(file))
         _check_sections(given_here, str(file))
         sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
@@ -159,6 +159,16 @@ def in_one_process(plan: LaunchPlan) -> LaunchPlan:
     ends_launch = any(process.ends_launch for process in plan.processes)
     whole = ProcessPlan("all", nodes, restarts, ends_launch)
     return replace(plan, processes=(whole,))
+
+
+def _nothing_to_run(path: Path, entries: Mapping[str, Any], given: Sequence[str]) -> str:
+    if not entries:
+        return f"{path}: expected at least one process under launch: processes, found none"
+    asked = ", ".join(f"{name}: {entry['if']}" for name, entry in entries.items())
+    return (
+        f"{path}: nothing to run with {' '.join(given) or 'no arguments'}: expected one of the conditions of its "
+        f"processes to hold, found {asked}; 'twin_node launch {path} --show-args' tells what can be given"
+    )
 
 
 def _launch_section(path: Path) -> dict[str, Any]:
@@ -214,8 +224,8 @@ def _values(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> 
 def _typed(argument: Argument, text: str, path: Path) -> Any:
     """A value of the type of the argument's default; text where it has none."""
     kind = type(argument.default)
-    if kind in (str, type(None)):
-        return text
+    if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
+        return str(Path(text).expanduser()) if text.startswith("~/") else text
     value = _parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
