@@ -58,8 +58,8 @@ def test_a_picture_shows_images_beside_the_twin(twin_log: Path, cell_log: Callab
     assert frames is not None
     view = frames.views[1]
     height = view.camera.height
-    row = picture[22 + height : 22 + 2 * height]
-    assert row.shape[1] == 4 * 80 and picture.shape[0] == 22 + 3 * height
+    row = picture[22 + 2 * 16 + height : 22 + 2 * (16 + height)]
+    assert row.shape[1] == 4 * 80 and picture.shape[0] == 22 + 3 * (16 + height)
     assert np.array_equal(row[:, :80], view.rgb)
     expected = (np.clip(render_cloud(cloud_at(3, True), view.camera), 0, 1) * 255).astype(np.uint8)
     assert np.abs(row[:, 80:160].astype(int) - expected).max() <= 1
@@ -151,12 +151,27 @@ def test_a_picture_wider_than_its_format_is_one_error(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_pictures_say_what_they_are_and_of_which_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Smaller where a camera's picture is narrow: a reason that is cut says nothing."""
+    said: list[tuple[str, float]] = []
+    monkeypatch.setattr(cv2, "putText", lambda _strip, words, _foot, _font, size, *_: said.append((words, size)))
+    log = write_images(tmp_path / "a.mcap", {"left": (160, 120), "right": (160, 120)})
+    with Playback([log], 160) as played:
+        film, shown = Film(played, "beside", 160, arm_model("ur5e")), played.at(START)
+        film.beside(shown)
+        assert [words for words, _ in said[:4]] == ["left", "twin", "difference x 3", "foreseen for 200 ms"]
+        assert [size < 0.45 for _, size in said[:4]] == [False, False, False, True]
+        said.clear()
+        film.forecast(shown)
+        assert [words for words, _ in said] == ["left", "right"]
+
+
 def test_a_camera_without_images_of_its_own_shape_has_its_place(tmp_path: Path) -> None:
     """Three cameras, of which one has narrower images: side by side, each as high as its images are."""
     log = write_images(tmp_path / "images.mcap", {"left": (64, 48), "right": (64, 24)})
     for view in ("cameras", "forecast", "beside"):
         assert render(log, "--view", view, "--width", 64, "-o", tmp_path / f"{view}.png") == 0
-    picture = cv2.imread(str(tmp_path / "forecast.png"))[22:]
+    picture = cv2.imread(str(tmp_path / "forecast.png"))[22 + 16 :]
     assert picture.shape == (48, 128, 3)
     assert (picture[:24] > 0).all() and (picture[24:, :64] > 0).all() and not picture[24:, 64:].any()
 
@@ -166,7 +181,7 @@ def test_a_rig_file_of_some_of_the_cameras_shows_those(tmp_path: Path) -> None:
     save_rig(RigFile(Rig((camera_of("right", (64, 24)),))), tmp_path / "rig.yaml")
     out = tmp_path / "a.png"
     assert render(log, "--view", "forecast", "--width", 64, "--rig", tmp_path / "rig.yaml", "-o", out) == 0
-    assert cv2.imread(str(out)).shape == (22 + 24, 64, 3)
+    assert cv2.imread(str(out)).shape == (22 + 16 + 24, 64, 3)
 
 
 def test_a_recording_that_no_twin_has_seen_is_refused(
@@ -195,14 +210,18 @@ def test_a_caption_does_not_go_on_telling_an_old_decision(tmp_path: Path, monkey
     monkeypatch.setattr(cv2, "putText", lambda _strip, words, *_: captions.append(words))
     for at in (2, 6):
         assert render(tmp_path / "a.mcap", "--at", at, "-o", tmp_path / "a.png") == 0
-    assert captions == ["  2.00 s   speed 100%   1.00 m   nothing near", "  6.00 s   no decision about the arm for 6 s"]
+    assert captions == [
+        "  2.00 s   speed 100%   nearest 1.00 m   nothing near",
+        "  6.00 s   no decision about the arm for 6 s",
+    ]
 
 
 def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_path: Path) -> None:
     log = write_images(tmp_path / "a.mcap", {"quiet": (160, 120), "seen": (160, 120)}, again={"seen": 9})
     with Playback([log], 160) as played:
         film = Film(played, "beside", 160, arm_model("ur5e"))
-        at_once, late = (film.beside(played.at(START + after * 10**9)).reshape(2, 120, 4, 160, 3) for after in (1, 9))
+        drawn = (film.beside(played.at(START + after * 10**9)) for after in (1, 9))
+        at_once, late = (picture.reshape(2, 16 + 120, 4, 160, 3)[:, 16:] for picture in drawn)
     assert at_once[0, :, 0].min() == 128
     assert at_once[0, :, 2].max() > 0, "the image and what the twin shows, nothing, differ"
     assert late[0, 60:, 0].max() == 64

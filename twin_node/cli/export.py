@@ -50,7 +50,7 @@ def _export(options: argparse.Namespace) -> None:
     arm = arm_model(options.arm)
     with _open(options.log, options.remap) as source, counted("export", "moment") as show:
         count = export(source, options.to, span, arm, options.output, show)
-    print(f"{options.output}: {count} moments")
+    print(f"{options.output}: {count} moment{'s' if count > 1 else ''}")
 
 
 @contextlib.contextmanager

@@ -66,7 +66,7 @@ def _render(options: argparse.Namespace) -> None:
                     yield film.picture(playback.at(stamp))
 
             write_film(pictures(), span.rate_hz, options.output)
-    print(f"{options.output}: {len(stamps)} pictures, {view}")
+    print(f"{options.output}: {len(stamps)} picture{'s' if len(stamps) > 1 else ''}, {view}")
 
 
 def _span_of(options: argparse.Namespace, is_film: bool) -> ExportSpan:

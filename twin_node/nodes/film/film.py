@@ -16,11 +16,14 @@ from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
-from twin_node.scene import Camera, Float32, ObstacleKind, UInt8, View
+from twin_node.scene import HORIZONS_NS, Camera, Float32, ObstacleKind, UInt8, View
 
 ERROR_GAIN = 3.0
 """Differences are shown so many times as large: an error of a third is white."""
-CAPTION_PX = 22
+CAPTION_PX, TITLE_PX = 22, 16
+"""Heights of the strips of words above a picture of all, and above each of one camera."""
+FONT, SMALLEST_FONT, MARGIN_PX = 0.45, 0.28, 6
+"""Scales of OpenCV's font: of all words, and the smallest that can be read."""
 MOVING_COLOUR = (217, 48, 37)
 ARM_COLOUR = (242, 153, 0)
 """Of boxes about what moves, and of the arm's outline."""
@@ -65,12 +68,13 @@ class Film:
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
-        return _side_by_side([_pixels(self._rendering(camera, snapshot)) for camera in self._cameras])
+        return _side_by_side([_titled(c.name, _pixels(self._rendering(c, snapshot))) for c in self._cameras])
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
         views = _views(snapshot)
-        return _side_by_side([self._foreseen(camera, views.get(camera.name), snapshot) for camera in self._cameras])
+        foreseen = ((c.name, self._foreseen(c, views.get(c.name), snapshot)) for c in self._cameras)
+        return _side_by_side([_titled(name, picture) for name, picture in foreseen])
 
     def orbit(self, snapshot: Snapshot) -> UInt8:
         """The twin from a camera that goes around it, with boxes about what moves."""
@@ -82,11 +86,18 @@ class Film:
 
     def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         ours = self._rendering(camera, snapshot)
-        if view is None:
-            return np.hstack([_blank(camera), _pixels(ours), _blank(camera), _blank(camera)])
-        is_old = snapshot.camera_silent_s(camera.name) > SILENT_S
-        differs = _blank(camera) if is_old else _difference(ours, view)
-        return np.hstack([_image(view, snapshot), _pixels(ours), differs, self._foreseen(camera, view, snapshot)])
+        image = differs = foreseen = _blank(camera)
+        if view is not None:
+            is_old = snapshot.camera_silent_s(camera.name) > SILENT_S
+            image, differs = _image(view, snapshot), differs if is_old else _difference(ours, view)
+            foreseen = self._foreseen(camera, view, snapshot)
+        titled = {
+            camera.name: image,
+            "twin": _pixels(ours),
+            f"difference x {ERROR_GAIN:g}": differs,
+            f"foreseen for {HORIZONS_NS[-1] // 1_000_000} ms": foreseen,
+        }
+        return np.hstack([_titled(title, picture) for title, picture in titled.items()])
 
     def _foreseen(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined."""
@@ -112,11 +123,9 @@ class Film:
         if silent_s > SILENT_S:
             words += f"   no decision about the arm for {silent_s:.0f} s"
         elif said is not None:
-            distance = f"{said.distance:.2f} m" if np.isfinite(said.distance) else "nothing near"
+            distance = f"nearest {said.distance:.2f} m" if np.isfinite(said.distance) else "nothing near"
             words += f"   speed {said.speed_fraction:.0%}   {distance}   {said.reason}"
-        strip = np.full((CAPTION_PX, width, 3), 255, np.uint8)
-        cv2.putText(strip, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (32, 33, 36), 1, cv2.LINE_AA)
-        return strip
+        return _words(words, width, CAPTION_PX)
 
 
 VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
@@ -151,6 +160,21 @@ def _difference(ours: Float32, view: View) -> UInt8:
     error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
     heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
     return np.asarray(cv2.cvtColor(heat, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def _titled(title: str, picture: UInt8) -> UInt8:
+    """A picture below what it is."""
+    return np.vstack([_words(title, picture.shape[1], TITLE_PX), picture])
+
+
+def _words(words: str, width: int, height: int) -> UInt8:
+    """[height, width, 3] a white strip with words, smaller where they are longer than it."""
+    strip = np.full((height, width, 3), 255, np.uint8)
+    (length, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, FONT, 1)
+    size = max(min(1.0, (width - 2 * MARGIN_PX) / max(length, 1)) * FONT, SMALLEST_FONT)
+    foot = (MARGIN_PX, (height + 10) // 2)
+    cv2.putText(strip, words, foot, cv2.FONT_HERSHEY_SIMPLEX, size, (32, 33, 36), 1, cv2.LINE_AA)
+    return strip
 
 
 def _side_by_side(pictures: Sequence[UInt8]) -> UInt8:

@@ -145,7 +145,10 @@ def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:
     moving = sum(count for tier, count in figures["tiers"].items() if tier not in ("static", "robot"))
     shown = [
         ("image sets per second", _number(figures["rate_hz"], "{:.1f}")),
-        ("latency p50 / p99", f"{_number(figures['latency_ms']['p50'])} / {_number(figures['latency_ms']['p99'])} ms"),
+        (
+            f"{'work per set' if figures['mode'] == 'lockstep' else 'latency'}, p50 / p99",
+            f"{_number(figures['latency_ms']['p50'])} / {_number(figures['latency_ms']['p99'])} ms",
+        ),
         ("PSNR on moving pixels", _number(quality["psnr_moving_db"], "{:.1f} dB")),
         ("recall 200 ms ahead", _number(forecast["recall"], "{:.1%}")),
         ("Gaussians that move, of all", f"{moving} / {sum(figures['tiers'].values())}"),
@@ -192,16 +195,18 @@ def _methods(foresight: Foresight) -> list[dict[str, Any]]:
 def _curves(run: Run, foresight: Foresight, start: int) -> list[Captioned]:
     collector = run.collector
     seconds = (np.array(collector.stamps) - start) * 1e-9
-    latencies = collector.work_ms if run.is_lockstep else collector.latencies_ms
+    latencies = collector.work_ms[1:] if run.is_lockstep else collector.latencies_ms
     measured = seconds[len(seconds) - len(latencies) :]
     recalls = np.array(foresight.recalls, dtype=np.float64).reshape(-1, 2)
     recall = pictures.Curve("recall", (recalls[:, 0] - start) * 1e-9, recalls[:, 1])
     latency = pictures.Curve("latency", measured, np.array(latencies))
-    what = "work per set, wall clock" if run.is_lockstep else "capture to decision"
+    took = ("Latency", "from capture to decision")
+    if run.is_lockstep:
+        took = ("Work per set", "by the wall clock; without the first, from which the model is built")
     drawn = [
         (pictures.separation_over_time(seconds, collector.separations), "The arm: distance, required distance, speed"),
         (pictures.tiers_over_time(seconds, np.array(collector.tier_counts)), "Gaussians per tier"),
-        (pictures.curves("Latency", "ms", [latency]), f"Latency: {what}"),
+        (pictures.curves(took[0], "ms", [latency]), ": ".join(took)),
         (pictures.curves("Foreseen", "share", [recall]), "Share of what was seen to move that had been foreseen"),
     ]
     return [Captioned(_encoded(data), caption) for data, caption in drawn]

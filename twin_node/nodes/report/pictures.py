@@ -16,7 +16,7 @@ from twin_node.forecast.score import projected
 from twin_node.nodes.report.quality import Image
 from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
 
-TIER_COLOURS = ("#9aa0a6", "#5f6368", "#1a73e8", "#a142f4", "#f29900")
+TIER_COLOURS = ("#9aa0a6", "#188038", "#1a73e8", "#a142f4", "#f29900")
 FORESEEN = (66, 133, 244)
 TRUE = (52, 168, 83)
 MASK = (255, 0, 160)
@@ -99,7 +99,7 @@ def curves(title: str, unit: str, series: Sequence[Curve], floor: float | None =
     axes = figure.subplots()
     for curve in series:
         axes.plot(curve.seconds, curve.values, label=curve.label, color=curve.colour, linewidth=1.2)
-    axes.set(title=title, xlabel="s", ylabel=unit)
+    axes.set(title=title, xlabel="time, s", ylabel=unit)
     if floor is not None:
         axes.set_ylim(bottom=floor)
     return _png_of(figure, len(series) if len(series) > 1 else 0)
@@ -112,7 +112,7 @@ def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -
     for tier in Tier:
         if counts[:, tier].any():
             axes.plot(seconds, counts[:, tier], label=tier.name, color=TIER_COLOURS[tier], linewidth=1.4)
-    axes.set(title="Gaussians per tier", xlabel="s", yscale="symlog")
+    axes.set(title="Gaussians per tier", xlabel="time, s", yscale="symlog")
     axes.set_ylim(bottom=0)
     return _png_of(figure, len(Tier))
 
@@ -129,7 +129,7 @@ def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Sep
     upper.axhline(0, color="#202124", linewidth=0.8)
     upper.set(title="Smallest distance along the arm's next 200 ms", ylabel="m")
     lower.fill_between(seconds, [s.speed_fraction for s in separations], color="#34a853", alpha=0.5, step="post")
-    lower.set(ylabel="speed fraction", xlabel="s", ylim=(0, 1.05))
+    lower.set(ylabel="speed fraction", xlabel="time, s", ylim=(0, 1.05))
     return _png_of(figure, 2)
 
 
