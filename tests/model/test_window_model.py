@@ -325,39 +325,6 @@ def test_a_non_finite_gaussian_is_set_back_and_reported() -> None:
     assert any("not finite" in warning for warning in state.warnings)
 
 
-def test_wrong_sets_are_refused_in_one_line() -> None:
-    model = WindowModel(QUICK)
-    sets = sliding(2, CAMERAS)
-    with pytest.raises(ModelError, match="no set has been seen"):
-        model.render_frozen(CAMERAS[0])
-    with pytest.raises(ModelError, match="follow: no set has been seen"):
-        model.follow(WindowModel(QUICK).look(sets[0]))
-    with pytest.raises(ModelError, match="at least one view"):
-        model.update(replace(sets[0], views=()))
-    model.update(sets[1])
-    with pytest.raises(ModelError, match="sort the source"):
-        model.update(sets[0])
-
-
-@pytest.mark.parametrize(
-    ("name", "shape", "kind"),
-    [
-        ("rgb", (30, 40, 3), np.uint8),
-        ("rgb", (60, 80), np.uint8),
-        ("rgb", (60, 80, 3), np.float32),
-        ("depth", (30, 40), np.float32),
-        ("depth", (60, 80), np.float64),
-        ("valid", (80, 60), np.bool_),
-    ],
-)
-def test_images_that_are_not_of_their_cameras_size_are_refused(name: str, shape: tuple[int, ...], kind: type) -> None:
-    """Compiled code takes sizes from the camera: it would read what lies beyond the image."""
-    model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
-    wrong = replace(one.views[1], **{name: np.ones(shape, kind)})
-    with pytest.raises(ModelError, match=f"camera cam1: expected {name} .*, found .* of {np.dtype(kind)}; give images"):
-        model.update(replace(one, views=(one.views[0], wrong, *one.views[2:])))
-
-
 def test_a_learning_rate_that_explodes_is_braked_and_reported() -> None:
     wild = replace(QUICK, track=replace(QUICK.track, learning_rate=1e5))
     model = WindowModel(wild)

@@ -31,7 +31,7 @@ from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, 
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_masks
-from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState
+from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState, View
 from twin_node.splat.library import torch_alone
 
 SEED_SHARE = 0.6
@@ -159,8 +159,8 @@ class WindowModel:
         """What a set shows, with the model of the set before: its images levelled, and what moves in them.
 
         A forecast of what measured depth shows needs no more, and has it long before the model. The first set is
-        modelled whole at once. Raises `ModelError` for a set without views, older than the last, or with images that
-        are not of their camera's size.
+        modelled whole at once. Raises `ModelError` for a set without views, older than the last, with images that are
+        not of their camera's size, or with depth that is not finite.
         """
         self._check(frames)
         robots = robot_masks(self._arm, frames)
@@ -263,7 +263,7 @@ class WindowModel:
         if not frames.views:
             raise ModelError(f"set {frames.sequence}: expected at least one view, found none; check the synchroniser")
         for view in frames.views:
-            if misfit := view.misfit():
+            if misfit := view.misfit() or _wild_depth(view):
                 raise ModelError(f"set {frames.sequence}: {misfit}")
         if self._begun is not None and frames.stamp < self._looked_at:
             raise ModelError(
@@ -355,3 +355,14 @@ class WindowModel:
         with torch.no_grad():
             seen = render(splats, [camera])[0]
         return ModelImage(seen.rgb.clamp(0, 1).cpu().numpy(), seen.depth.cpu().numpy(), seen.alpha.cpu().numpy())
+
+
+def _wild_depth(view: View) -> str | None:
+    """Where a view's depth is not finite, as a sentence for an error; None where all of it is, or none is measured."""
+    if view.depth is None or np.isfinite(view.depth).all():
+        return None
+    row, column = np.argwhere(~np.isfinite(view.depth))[0]
+    return (
+        f"camera {view.camera.name}: expected depth in metres, 0 where unknown, found {view.depth[row, column]} at row "
+        f"{row}, column {column}; put 0 there"
+    )

@@ -1,0 +1,61 @@
+"""Sets that nothing can be made of are refused before anything is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from model_scenes import rig, sliding
+
+from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
+
+QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
+CAMERAS = rig()
+
+
+def test_wrong_sets_are_refused_in_one_line() -> None:
+    model = WindowModel(QUICK)
+    sets = sliding(2, CAMERAS)
+    with pytest.raises(ModelError, match="no set has been seen"):
+        model.render_frozen(CAMERAS[0])
+    with pytest.raises(ModelError, match="follow: no set has been seen"):
+        model.follow(WindowModel(QUICK).look(sets[0]))
+    with pytest.raises(ModelError, match="at least one view"):
+        model.update(replace(sets[0], views=()))
+    model.update(sets[1])
+    with pytest.raises(ModelError, match="sort the source"):
+        model.update(sets[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "kind"),
+    [
+        ("rgb", (30, 40, 3), np.uint8),
+        ("rgb", (60, 80), np.uint8),
+        ("rgb", (60, 80, 3), np.float32),
+        ("depth", (30, 40), np.float32),
+        ("depth", (60, 80), np.float64),
+        ("valid", (80, 60), np.bool_),
+    ],
+)
+def test_images_that_are_not_of_their_cameras_size_are_refused(name: str, shape: tuple[int, ...], kind: type) -> None:
+    """Compiled code takes sizes from the camera: it would read what lies beyond the image."""
+    model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
+    wrong = replace(one.views[1], **{name: np.ones(shape, kind)})
+    with pytest.raises(ModelError, match=f"camera cam1: expected {name} .*, found .* of {np.dtype(kind)}; give images"):
+        model.update(replace(one, views=(one.views[0], wrong, *one.views[2:])))
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf])
+def test_depth_that_is_not_finite_is_refused_before_anything_is_made_of_the_set(wild: float) -> None:
+    model, sets = WindowModel(QUICK), sliding(3, CAMERAS, depth=True)
+    depth = sets[1].views[1].depth
+    assert depth is not None
+    torn = depth.copy()
+    torn[7, 5] = wild
+    views = (sets[1].views[0], replace(sets[1].views[1], depth=torn), sets[1].views[2])
+    model.update(sets[0])
+    with pytest.raises(ModelError, match=f"camera cam1: expected depth .*, found {wild} at row 7, column 5; put 0"):
+        model.update(replace(sets[1], views=views))
+    assert np.isfinite(model.update(sets[1]).gaussians.means).all()
