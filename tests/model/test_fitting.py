@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from model_scenes import block, frames, rig, table
+from model_scenes import block, frames, joined, rig, table
 
 from twin_node import splat
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Path, descend_fused, descend_plain
 from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
-from twin_node.model.gaussians import LOG_SCALE, QUICK, WIDTH, Gaussians, Newborns
+from twin_node.model.gaussians import LOG_SCALE, QUICK, RGB, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
 from twin_node.model.photometric import differentiate, goal_of, photometric
 from twin_node.model.rendering import Splats, shoot
@@ -79,6 +79,19 @@ def test_the_first_step_goes_down_the_gradient_that_autograd_finds() -> None:
     fit_all(store, views, 1)
     expected = (1 - QUICK.first) * values.grad  # Adam's first moment after one step
     assert torch.allclose(store.moment1, expected, rtol=1e-3, atol=1e-7)
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_what_hardly_shows_keeps_the_colour_of_its_seed_where_depth_tells_its_place(depth: bool) -> None:
+    """Under a table whose every pixel pulls towards white, it shows through by less than a tenth of a pixel."""
+    under = block(0.0)
+    under = replace(under, means=under.means - torch.tensor([0, 0, 0.3]), rgb=torch.full_like(under.rgb, 0.3))
+    store, seeds = stored(joined(table(), under)), slice(len(table().rgb), None)
+    views = [replace(view, rgb=np.full_like(view.rgb, 255)) for view in frames(0, None, CAMERAS, depth).views]
+    fit_all(store, views, 20)
+    assert store.values[: seeds.start, RGB].mean() > table().rgb.mean() + 0.1, "what shows learns"
+    strayed = (store.values[seeds, RGB] - 0.3).abs().amax(1)
+    assert (strayed.median() < 0.05) == depth
 
 
 @pytest.mark.parametrize("rows", [48, 37])
