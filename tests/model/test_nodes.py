@@ -11,7 +11,7 @@ from twin_node.model.carriage import carry, carry_plainly
 from twin_node.model.field import HexPlane
 from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
-from twin_node.model.nodes import MAX_SPEED, Nodes, advanced, advanced_plainly
+from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, advanced, advanced_plainly
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.scene import Tier
 
@@ -45,6 +45,30 @@ def test_the_window_remembers_and_interpolates() -> None:
     assert x == pytest.approx([0.066, 0.0825, 0.198])
 
 
+def test_orientations_are_interpolated_inside_the_window_and_go_on_turning_after_it() -> None:
+    nodes = Nodes(1, 8)
+    nowhere = torch.zeros(3, dtype=torch.float64)
+    nodes.angular_velocities[nodes.give_birth(nowhere, nowhere), 2] = 3.0
+    for index in range(4):
+        nodes.predict(index * TICK_NS, 1.0)
+        nodes.remember()
+    for ticks, turned in ((-5, 0.0), (0, 0.0), (1.25, 1.25), (3, 3), (5, 5)):
+        at = vector_from_quat(nodes.poses_at(round(ticks * TICK_NS)).quats[0, 0])
+        assert at.tolist() == pytest.approx([0, 0, 3.0 * turned * TICK_NS * 1e-9], abs=1e-9), ticks
+
+
+def test_a_set_of_the_same_stamp_takes_no_further_place_in_the_window() -> None:
+    nodes = Nodes(1, 2)
+    nowhere = torch.zeros(3, dtype=torch.float64)
+    nodes.give_birth(nowhere, nowhere)
+    for stamp, x in ((0, 0.0), (TICK_NS, 1.0), (TICK_NS, 2.0), (TICK_NS, 3.0)):
+        nodes.predict(stamp, 1.0)
+        nodes.positions[0, 0] = x
+        nodes.remember()
+    xs = [float(nodes.poses_at(stamp).positions[0, 0, 0]) for stamp in (0, TICK_NS // 2, TICK_NS)]
+    assert xs == pytest.approx([0.0, 1.5, 3.0], abs=1e-6)
+
+
 def test_before_the_window_its_oldest_pose_holds_and_after_it_the_velocity() -> None:
     nodes = moving_nodes(1.0)
     assert nodes.poses_at(0).positions[0, 0, 0] == pytest.approx(0.0)
@@ -75,6 +99,31 @@ def test_a_wild_measurement_cannot_make_an_impossible_speed() -> None:
     assert nodes.velocities[row].norm() <= MAX_SPEED + 1e-9
 
 
+def test_a_wild_turn_is_cut_in_its_own_direction_and_others_are_left() -> None:
+    nodes = Nodes(2, 4)
+    nowhere = torch.zeros(3, dtype=torch.float64)
+    rows = torch.tensor([nodes.give_birth(nowhere, nowhere) for _ in range(2)])
+    turns = np.array([[0.0, -4 * MAX_TURN, 3 * MAX_TURN], [0.0, 0.9 * MAX_TURN, 0.0]])
+    nodes.set_velocities(rows, np.array([[0.9 * MAX_SPEED, 0.0, 0.0], [0.0, 0.0, -3 * MAX_SPEED]]), turns)
+    assert nodes.angular_velocities.numpy() == pytest.approx(
+        np.array([[0.0, -0.8 * MAX_TURN, 0.6 * MAX_TURN], [0.0, 0.9 * MAX_TURN, 0.0]])
+    )
+    assert nodes.velocities.numpy() == pytest.approx(np.array([[0.9 * MAX_SPEED, 0, 0], [0, 0, -MAX_SPEED]]))
+
+
+def test_a_prediction_turns_damps_and_leaves_links_where_their_joints_have_them() -> None:
+    nodes = Nodes(2, 4)
+    nowhere, fast = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    for tier in (Tier.RIGID, Tier.ROBOT):
+        nodes.angular_velocities[nodes.give_birth(nowhere, fast, tier)] = 2 * fast
+    nodes.predict(100_000_000, 0.5)
+    turned = vector_from_quat(nodes.quats)
+    assert nodes.positions[:, 0].tolist() == pytest.approx([0.1, 0.0])
+    assert turned[:, 0].tolist() == pytest.approx([0.2, 0.0])
+    assert nodes.velocities[0].tolist() == [0.5, 0.0, 0.0]
+    assert nodes.angular_velocities[0].tolist() == [1.0, 0.0, 0.0]
+
+
 def test_driven_nodes_take_the_pose_and_its_speed() -> None:
     nodes = Nodes(2, 4)
     row = torch.tensor(
@@ -97,6 +146,21 @@ def test_rows_are_used_again_but_ids_never() -> None:
     again = nodes.give_birth(origin + 1, origin)
     assert again == first
     assert sorted(nodes.ids.tolist()) == [1, 2]
+
+
+def test_who_takes_a_row_has_nothing_of_who_had_it() -> None:
+    nodes = moving_nodes()
+    nodes.tiers[0], nodes.evidence[0], nodes.sigmas[0] = int(Tier.DEFORMABLE), 1e3, 9.0
+    nodes.angular_velocities[0] = 5.0
+    nodes.quats[0] = quat_from_vector(torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    nodes.retire(torch.tensor([0]))
+    place, velocity = (torch.tensor([x, 0.0, 0.0], dtype=torch.float64) for x in (2.0, 0.3))
+    assert nodes.give_birth(place, velocity) == 0
+    assert torch.equal(nodes.positions[0], place) and torch.equal(nodes.anchors[0], place)
+    assert torch.equal(nodes.velocities[0], velocity) and not nodes.angular_velocities[0].any()
+    assert nodes.quats[0].tolist() == [1, 0, 0, 0] and not nodes.moved[0].any()
+    assert (int(nodes.tiers[0]), float(nodes.evidence[0]), int(nodes.births[0])) == (Tier.RIGID, 0, nodes.stamp)
+    assert nodes.sigmas[0] < 0.1
 
 
 def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
