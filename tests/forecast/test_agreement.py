@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.agreement import Estimate, Sighting, agreed, agreed_plainly
+from twin_node.forecast.agreement import Estimate, Sighting, agreed, agreed_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED
 from twin_node.forecast.things import Whole
@@ -55,8 +55,8 @@ def test_compiled_velocities_are_the_plain_ones(seed: int, views: int, count: in
     sigmas = np.where(rng.uniform(size=count) < 0.3, 0.2, np.inf)
     whole = replace(Whole.none(count), velocities=rng.normal(size=(count, 3)), sigmas=sigmas)
     whole.falling[:] = np.isfinite(sigmas) & (rng.uniform(size=count) < 0.5)
-    (one, lost), (other, lost_plainly) = (find(sightings, expected, whole) for find in (agreed, agreed_plainly))
-    assert np.array_equal(lost, lost_plainly) and len(lost) == views
+    (one, lost), (other, lost_reference) = (find(sightings, expected, whole) for find in (agreed, agreed_reference))
+    assert np.array_equal(lost, lost_reference) and len(lost) == views
     np.testing.assert_allclose(one.velocities, other.velocities, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(one.sigmas, other.sigmas, rtol=1e-7)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.ahead import BOUND_PROBABILITY, CORE_PROBABILITY, Ahead, layers_of, layers_of_plainly
+from twin_node.forecast.ahead import BOUND_PROBABILITY, CORE_PROBABILITY, Ahead, layers_of, layers_of_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.forecast.swerving import Swerves
@@ -45,14 +45,14 @@ def _nowhere(ways: np.ndarray) -> Swerves:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 2.0]))
 def test_compiled_layers_are_the_plain_ones_bit_by_bit(seed: int, speed: float) -> None:
     case = random_case(seed, speed)
-    for found, expected in zip(layers_of(GRID, case), layers_of_plainly(GRID, case), strict=True):
+    for found, expected in zip(layers_of(GRID, case), layers_of_reference(GRID, case), strict=True):
         assert found.horizon_ns == expected.horizon_ns
         assert np.array_equal(found.indices, expected.indices)
         assert np.array_equal(found.probability, expected.probability)
         assert found.probability.dtype == expected.probability.dtype == np.uint8
 
 
-@pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
+@pytest.mark.parametrize("find", [layers_of, layers_of_reference])
 def test_what_leaves_the_grid_is_held_along_its_way_and_what_stays_in_is_not(
     find: Callable[[Grid, Ahead], tuple[OccupancyLayer, ...]],
 ) -> None:
@@ -83,7 +83,7 @@ def test_rims_grow_little_and_what_rests_grows_by_its_own_radius() -> None:
     assert about_rest[about_rest <= 8].max() > 5
 
 
-@pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
+@pytest.mark.parametrize("find", [layers_of, layers_of_reference])
 @pytest.mark.parametrize(("radius", "grows"), [(0.017, False), (0.018, True)])
 def test_rims_keep_their_size_while_the_bound_is_within_the_rounding_to_voxels(
     find: Find, radius: float, grows: bool
@@ -98,7 +98,7 @@ def test_rims_keep_their_size_while_the_bound_is_within_the_rounding_to_voxels(
     assert (np.count_nonzero(found[0] > 13) > 1) == grows
 
 
-@pytest.mark.parametrize("find", [layers_of, layers_of_plainly])
+@pytest.mark.parametrize("find", [layers_of, layers_of_reference])
 def test_what_accelerates_is_held_as_far_as_that_leads_and_its_rim_is_not(find: Find) -> None:
     layers, no = len(HORIZONS_NS), np.zeros(1, np.bool_)
     places = np.stack([np.full(3, 6), [6, 20, 6]], axis=1).astype(np.int32)

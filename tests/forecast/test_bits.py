@@ -56,12 +56,12 @@ def test_voxels_are_added_and_removed(dims: tuple[int, int, int], seed: int) -> 
 def test_compiled_lists_and_runs_are_the_plain_ones(dims: tuple[int, int, int], seed: int) -> None:
     one, other = masks(dims, seed)
     bits, marks = Bits.of_mask(dims, one), Bits.of_mask(dims, other)
-    found, plain = bits.listed(marks), bits.listed_plainly(marks)
+    found, plain = bits.listed(marks), bits.listed_reference(marks)
     assert np.array_equal(found.indices, plain.indices) and np.array_equal(found.marked, plain.marked)
     assert np.array_equal(bits.runs(), encode_runs(one))
     indices = np.random.default_rng(seed).permutation(np.concatenate([plain.indices, plain.indices[:5]]))
     assert np.array_equal(Bits.of_indices(dims, indices).words, bits.words)
-    assert np.array_equal(Bits.of_indices_plainly(dims, indices).words, bits.words)
+    assert np.array_equal(Bits.of_indices_reference(dims, indices).words, bits.words)
 
 
 @pytest.mark.skipif(kernels() is None, reason="NumPy counts negative ones from the end")

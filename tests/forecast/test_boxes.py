@@ -14,7 +14,7 @@ from twin_node.forecast.boxes import (
     mostly_full,
     smallest_boxes,
 )
-from twin_node.forecast.covering import Covers, Share, Wanted, covers, covers_plainly
+from twin_node.forecast.covering import Covers, Share, Wanted, covers, covers_reference
 from twin_node.forecast.errors import ForecastError
 from twin_node.scene import Bool, Grid
 
@@ -119,11 +119,11 @@ def test_compiled_covers_are_the_plain_ones(seed: int, count: int, most: int) ->
         Wanted(GRID, most, 7, (voxels[:0], voxels[:0])),
     ]
     first = covers(wanted, np.zeros(0, np.uint32))
-    assert same(first, covers_plainly(wanted, np.zeros(0, np.uint32)))
+    assert same(first, covers_reference(wanted, np.zeros(0, np.uint32)))
     assert len(first.ids) == first.counts.sum() and (first.counts <= most).all() and first.counts[3] == 0
     fewer = [Wanted(GRID, most, 0, (voxels[::3],)), *wanted[1:]]
     before = rng.permutation(first.ids)
-    assert same(covers(fewer, before), covers_plainly(fewer, before))
+    assert same(covers(fewer, before), covers_reference(fewer, before))
 
 
 def test_cells_count_from_their_share_on() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.concealing import concealed, concealed_plainly
+from twin_node.forecast.concealing import concealed, concealed_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.verdicts import Carved
 
@@ -21,7 +21,7 @@ def test_compiled_concealed_space_is_the_plain_one(seed: int, knows_arm: bool) -
     rng = np.random.default_rng(seed)
     masks = [Bits.of_mask(DIMS, rng.uniform(size=int(np.prod(DIMS))) < 0.5) for _ in range(6)]
     carved, before = Carved(*masks[:4]), masks[5].words.copy()
-    one, other = (find(carved, knows_arm, *masks[4:]) for find in (concealed, concealed_plainly))
+    one, other = (find(carved, knows_arm, *masks[4:]) for find in (concealed, concealed_reference))
     for name in ("hiding", "unseen"):
         assert np.array_equal(getattr(one, name).words, getattr(other, name).words), name
     assert np.array_equal(masks[5].words, before)  # an errand may still be reading it

@@ -1,4 +1,4 @@
-"""The regression of errors on cues: compiled as plainly, and what it learns."""
+"""The regression of errors on cues: compiled as by the reference, and what it learns."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import copy
 import numpy as np
 import pytest
 
-from twin_node.forecast.error_scale import PRIOR_SLOPES, Came, Scale, regress, regress_plainly
+from twin_node.forecast.error_scale import PRIOR_SLOPES, Came, Scale, regress, regress_reference
 
 
 def came(rng: np.random.Generator, count: int, slopes: np.ndarray) -> Came:
@@ -16,13 +16,13 @@ def came(rng: np.random.Generator, count: int, slopes: np.ndarray) -> Came:
 
 
 @pytest.mark.parametrize("count", [1, 5, 300])
-def test_compiled_as_plainly(count: int) -> None:
+def test_compiled_as_reference(count: int) -> None:
     rng, compiled = np.random.default_rng(count), Scale.before_errors()
     plain = copy.deepcopy(compiled)
     for _ in range(60):
         errors = came(rng, count, rng.normal(0.2, 0.1, len(PRIOR_SLOPES)))
         regress(compiled, errors)
-        regress_plainly(plain, errors)
+        regress_reference(plain, errors)
         for name, value in vars(compiled).items():
             assert np.allclose(value, vars(plain)[name], rtol=1e-9, atol=1e-12), name
     assert not np.allclose(compiled.slopes, PRIOR_SLOPES, atol=0.01)

@@ -20,7 +20,7 @@ from twin_node.forecast.growth import (
     reach_of,
     shifts_of,
     spread,
-    spread_plainly,
+    spread_reference,
 )
 from twin_node.forecast.kernels import kernels
 from twin_node.native_build import KernelSources
@@ -66,7 +66,7 @@ def random_case(seed: int, largest: int) -> tuple[Grid, Points, NDArray[np.int32
 @example(8, 600)
 def test_compiled_growth_is_the_plain_one_bit_by_bit(seed: int, largest: int) -> None:
     case = random_case(seed, largest)
-    for found, expected in zip(spread(*case), spread_plainly(*case), strict=True):
+    for found, expected in zip(spread(*case), spread_reference(*case), strict=True):
         assert np.array_equal(found.indices, expected.indices)
         assert np.array_equal(found.core, expected.core)
         assert found.indices.dtype == expected.indices.dtype == np.uint32

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.hiding import HidingPlaces, Memory, Seen, follow, follow_plainly
+from twin_node.forecast.hiding import HidingPlaces, Memory, Seen, follow, follow_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.scene import Bool, Grid
 
@@ -209,7 +209,7 @@ def test_compiled_hiding_places_are_the_plain_ones(seed: int, dims: tuple[int, i
         masks = [random_mask(grid, rng, *bounds) for bounds in ((4, 0.3), (1, 0.002), (2, 0.01))]
         masks[0] &= ~masks[1] & ~masks[2]
         seen = Seen(elapsed_s, *(Bits.of_mask(dims, one) for one in masks))
-        assert np.array_equal(follow(grid, compiled, seen).words, follow_plainly(grid, plain, seen).words)
+        assert np.array_equal(follow(grid, compiled, seen).words, follow_reference(grid, plain, seen).words)
         assert np.array_equal(compiled.ages_s, plain.ages_s)
         assert np.array_equal(compiled.reached.words, plain.reached.words)
         assert np.array_equal(compiled.maybe_full.words, plain.maybe_full.words)

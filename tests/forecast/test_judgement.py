@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.judgement import Judgement
 from twin_node.forecast.margin import Margin
-from twin_node.forecast.moving_surface import Moving, moving_surface, moving_surface_plainly
+from twin_node.forecast.moving_surface import Moving, moving_surface, moving_surface_reference
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.tables import RigTables
 
@@ -51,13 +51,13 @@ def test_points_that_no_other_camera_confirms_are_not_asked_for() -> None:
 
 
 @pytest.mark.parametrize("views", [0, 1, 3])
-def test_measured_points_are_found_compiled_as_plainly(views: int) -> None:
+def test_measured_points_are_found_compiled_as_reference(views: int) -> None:
     margin = Margin(GRID, 0.15)
     ball = ball_voxels(CENTER, 0.16)
     state = state_of(0, CENTER, with_depth=True)
     seen = [Moving(*one) for one in zip(state.frames.views, state.moving_masks, strict=True)][:views]
     parts, forecast = halves(margin, ball[::2]), ball[GRID.centers(ball)[:, 2] > CENTER[2]]
-    found, expected = (one(seen, margin, parts, forecast) for one in (moving_surface, moving_surface_plainly))
+    found, expected = (one(seen, margin, parts, forecast) for one in (moving_surface, moving_surface_reference))
     assert np.array_equal(found.parts, expected.parts)
     assert np.array_equal(found.foreseen, expected.foreseen)
     if views:

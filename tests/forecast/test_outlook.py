@@ -1,4 +1,4 @@
-"""What experts make of nodes: compiled as plainly."""
+"""What experts make of nodes: compiled as by the reference."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from twin_node.forecast.bound import CUES
 from twin_node.forecast.experts import EXPERT_NAMES, FEATURES, History
-from twin_node.forecast.outlook import Standing, outlook, outlook_plainly
+from twin_node.forecast.outlook import Standing, outlook, outlook_reference
 
 EXPERTS = len(EXPERT_NAMES)
 
@@ -30,7 +30,7 @@ def standing(rng: np.random.Generator, count: int) -> Standing:
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 5, 30])
 @pytest.mark.parametrize("count", [0, 1, 2, 9, 150])
-def test_compiled_as_plainly(count: int, samples: int) -> None:
+def test_compiled_as_reference(count: int, samples: int) -> None:
     rng = np.random.default_rng(100 * samples + count)
     history, given = paths(rng, count, samples), standing(rng, count)
     plain = History(history.times, history.positions)
@@ -38,7 +38,7 @@ def test_compiled_as_plainly(count: int, samples: int) -> None:
     horizons = np.array([0.05, 0.1, 0.2])
     learnt = rng.normal(0, 0.3, (len(horizons), FEATURES))
     found = outlook(history, given, floors, learnt, horizons)
-    expected = outlook_plainly(plain, given, floors, learnt, horizons)
+    expected = outlook_reference(plain, given, floors, learnt, horizons)
     assert found.cues.shape == (count, CUES)
     for name in ("features", "shares", "cues"):
         assert np.allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, atol=1e-12), name

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twin_node.forecast import BaselineForecaster, Forecaster
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.own_space import own_space, within, within_plainly
+from twin_node.forecast.own_space import own_space, within, within_reference
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Grid, JointSample, TwinState
 
@@ -53,7 +53,7 @@ def test_compiled_capsules_are_the_plain_ones(seed: int, count: int) -> None:
     ends = rng.uniform(-1, 1, (count, 2, 3))
     ends[:, 1] = np.where(rng.uniform(size=(count, 1)) < 0.2, ends[:, 0], ends[:, 1])
     radii = rng.uniform(0.01, 0.4, count)
-    assert np.array_equal(within(grid, ends, radii).words, within_plainly(grid, ends, radii).words)
+    assert np.array_equal(within(grid, ends, radii).words, within_reference(grid, ends, radii).words)
 
 
 def test_joints_of_another_arm_are_refused() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.parts import split, split_plainly
+from twin_node.forecast.parts import split, split_reference
 from twin_node.scene import Grid
 
 pytestmark = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -27,7 +27,7 @@ def test_compiled_parts_are_the_plain_ones(
     rng, grid = np.random.default_rng(seed), Grid(np.array([0.1, -0.2, 0.3]), voxel_size, dims)
     indices = np.flatnonzero(rng.uniform(size=grid.size) < share)
     likely = rng.uniform(size=len(indices)) < 0.5
-    found, plain = split(grid, indices, likely), split_plainly(grid, indices, likely)
+    found, plain = split(grid, indices, likely), split_reference(grid, indices, likely)
     for name in ("indices", "places", "labels", "likely", "centers"):
         one, other = getattr(found, name), getattr(plain, name)
         assert one.dtype == other.dtype and np.array_equal(one, other), name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.forecast.past_errors import Past, PastErrors, bin_of, bin_of_plainly
+from twin_node.forecast.past_errors import Past, PastErrors, bin_of, bin_of_reference
 
 MEMORY_S = 2.0
 SLOPES = np.array([0.1, 0.5])
@@ -51,9 +51,9 @@ def test_weights_stay_finite_however_long_few_errors_come() -> None:
 
 @pytest.mark.parametrize("count", [1, 700])
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99, 1.0])
-def test_compiled_as_plainly(share: float, count: int) -> None:
+def test_compiled_as_reference(share: float, count: int) -> None:
     rng = np.random.default_rng(count)
     logs = rng.normal(-2, 3, count)
     logs[: count // 50] = np.repeat([-40.0, 40.0], count // 100)  # beyond all bins
     past = Past(rng.normal(size=(count, 2)), logs, rng.uniform(0, 1, count), 0.3)
-    assert bin_of(past, SLOPES, share) == bin_of_plainly(past, SLOPES, share)
+    assert bin_of(past, SLOPES, share) == bin_of_reference(past, SLOPES, share)

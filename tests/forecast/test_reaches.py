@@ -10,7 +10,7 @@ import pytest
 from twin_node.forecast.bound import Bound, Expected
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.measured import UNKNOWN_SPEED, Measured, start_radii
-from twin_node.forecast.reaches import Known, Span, reaches, reaches_plainly, staleness
+from twin_node.forecast.reaches import Known, Span, reaches, reaches_reference, staleness
 
 COUNT, NOW, HORIZON_S = 400, 3.0, 0.2
 HORIZONS = np.array([0.033, 0.083, 0.133, 0.183, 0.233])
@@ -37,11 +37,11 @@ def known(rng: np.random.Generator, measured: Measured | None) -> Known:
 @pytest.mark.parametrize("capped", [False, True])
 @pytest.mark.parametrize("factor", [0.05, 1.0, 3.0])
 @pytest.mark.parametrize("horizons", [HORIZONS, HORIZONS[-1:]])
-def test_compiled_to_the_bit_as_plainly(horizons: np.ndarray, factor: float, capped: bool, is_measured: bool) -> None:
+def test_compiled_to_the_bit_as_reference(horizons: np.ndarray, factor: float, capped: bool, is_measured: bool) -> None:
     rng, bound = np.random.default_rng(5), Bound()
     nodes = known(rng, velocities(rng) if is_measured else None)
     span = Span(horizons, np.linspace(0.2, 1, len(horizons)), capped)
-    found, expected = (find(nodes, bound, factor, span) for find in (reaches, reaches_plainly))
+    found, expected = (find(nodes, bound, factor, span) for find in (reaches, reaches_reference))
     assert np.array_equal(found, expected, equal_nan=True)
     assert np.isnan(found).any()
     assert len(np.unique(found[-1])) > 5

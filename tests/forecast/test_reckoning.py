@@ -1,4 +1,4 @@
-"""What became of forecasts: compiled as plainly, and what it changes."""
+"""What became of forecasts: compiled as by the reference, and what it changes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin_node.forecast.experts import EXPERT_NAMES, FEATURES, KNOTS, Autoregression, History
-from twin_node.forecast.reckoning import STARTLED, Due, Issued, Ledger, Manner, Reckoned, reckon, reckon_plainly
+from twin_node.forecast.reckoning import STARTLED, Due, Issued, Ledger, Manner, Reckoned, reckon, reckon_reference
 from twin_node.forecast.records import Records
 
 HORIZON_S = 0.2
@@ -49,19 +49,19 @@ def history(rng: np.random.Generator, count: int, samples: int = 20) -> History:
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("knots", [(0,), (1,), (2,), (3,), (3, 3, 2, 0), ()])
 @pytest.mark.parametrize("count", [0, 1, 300])
-def test_compiled_as_plainly(count: int, knots: tuple[int, ...], turns: bool) -> None:
+def test_compiled_as_reference(count: int, knots: tuple[int, ...], turns: bool) -> None:
     rng = np.random.default_rng(100 * sum(knots) + count)
     due = [Due(issued(rng, count, 40), knot, 0.033) for knot in knots]
     paths = history(rng, count)
     plain = Ledger(records(rng, count), np.array([0.03, 0.06, 0.09, 0.12]), Autoregression())
     compiled = copy.deepcopy(plain)
     manner = Manner(2.0, turns)
-    found, expected = reckon(due, paths, compiled, manner), reckon_plainly(due, paths, plain, manner)
+    found, expected = reckon(due, paths, compiled, manner), reckon_reference(due, paths, plain, manner)
     assert np.allclose(compiled.profile, plain.profile, rtol=1e-12)
-    learnt, learnt_plainly = (one.autoregression for one in (compiled, plain))
-    assert np.allclose(learnt.gram, learnt_plainly.gram, rtol=1e-9, atol=1e-15)
-    assert np.allclose(learnt.moment, learnt_plainly.moment, rtol=1e-9, atol=1e-15)
-    assert np.allclose(learnt.weights(np.array(KNOTS)), learnt_plainly.weights(np.array(KNOTS)), rtol=1e-6, atol=1e-9)
+    learnt, learnt_reference = (one.autoregression for one in (compiled, plain))
+    assert np.allclose(learnt.gram, learnt_reference.gram, rtol=1e-9, atol=1e-15)
+    assert np.allclose(learnt.moment, learnt_reference.moment, rtol=1e-9, atol=1e-15)
+    assert np.allclose(learnt.weights(np.array(KNOTS)), learnt_reference.weights(np.array(KNOTS)), rtol=1e-6, atol=1e-9)
     for mine, other in (*zip(found, expected, strict=True), (compiled.records, plain.records)):
         for name, value in vars(mine).items():
             assert np.allclose(value, vars(other)[name], rtol=1e-12, atol=1e-15), name

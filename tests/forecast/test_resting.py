@@ -11,7 +11,7 @@ from forecast_worlds import GRID, ball_voxels, state_of
 from twin_node.forecast import Forecaster, ForecastResult
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.resting import RESTING_S, Memory, Resting, rested, rested_plainly
+from twin_node.forecast.resting import RESTING_S, Memory, Resting, rested, rested_reference
 from twin_node.scene import Grid, Occupancy, TwinState
 
 STEP_NS = 33_333_333
@@ -133,7 +133,7 @@ def test_compiled_memory_is_the_plain_one(seed: int) -> None:
     for tick in range(12):
         stamp, moving = tick * round(RESTING_S * 0.3e9), np.flatnonzero(rng.random(grid.size) < 0.1)
         stands = Bits.of_mask(grid.dims, rng.random(grid.size) < 0.4)
-        found, plain = rested(one, stamp, moving, stands), rested_plainly(other, stamp, moving, stands)
+        found, plain = rested(one, stamp, moving, stands), rested_reference(other, stamp, moving, stands)
         assert np.array_equal(found, plain)
         assert np.array_equal(one.moved_at, other.moved_at)
         assert np.array_equal(one.moved.words, other.moved.words)

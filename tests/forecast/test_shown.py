@@ -10,9 +10,9 @@ from forecast_worlds import RIG
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.image_motion import Pair, seen, seen_plainly
+from twin_node.forecast.image_motion import Pair, seen, seen_reference
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.shown import Sample, Visible, Witness, told, told_plainly, visible, visible_plainly
+from twin_node.forecast.shown import Sample, Visible, Witness, told, told_reference, visible, visible_reference
 from twin_node.forecast.tables import Blocks, CameraTable
 from twin_node.scene import Bool, Float32, Grid, View
 
@@ -45,7 +45,7 @@ def random_mask(rng: np.random.Generator) -> Bool:
 def test_compiled_images_are_the_plain_ones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     view, mask = random_view(rng, 0), random_mask(rng)
-    (one,), other = seen([view], [mask]), seen_plainly(view, mask)
+    (one,), other = seen([view], [mask]), seen_reference(view, mask)
     for name in ("stamp", "window"):
         assert getattr(one, name) == getattr(other, name)
     for name in ("grey", "moving"):
@@ -80,10 +80,10 @@ def test_compiled_visible_voxels_are_the_plain_ones(seed: int, count: int) -> No
     moving, sample = rng.uniform(size=(HEIGHT, WIDTH)) < 0.7, random_sample(rng, count, 9)
     beside = rng.uniform(size=(HEIGHT, WIDTH)) < 0.2
     for mask, found in zip((moving, beside), visible([moving, beside], [TABLE] * 2, sample), strict=True):
-        same_as_plainly(found, visible_plainly(mask, TABLE, sample))
+        same_as_reference(found, visible_reference(mask, TABLE, sample))
 
 
-def same_as_plainly(found: Visible, plain: Visible) -> None:
+def same_as_reference(found: Visible, plain: Visible) -> None:
     assert np.array_equal(found.pixels, plain.pixels) and np.array_equal(found.labels, plain.labels)
     np.testing.assert_allclose(found.jacobian, plain.jacobian, rtol=1e-9, atol=1e-9)
 
@@ -98,7 +98,7 @@ def test_what_compiled_pixels_tell_is_what_plain_ones_do(seed: int) -> None:
     pixels = pixels if rng.uniform() < 0.8 else rng.integers(0, WIDTH * HEIGHT, 50)
     seen_pixels = Visible(pixels, rng.integers(0, parts, len(pixels)), rng.normal(0, 80, (parts, 2, 3)))
     witness = Witness(pair, seen_pixels, np.array([0.0, 0.6, 0.8]))
-    (one, again), other = told([witness, witness]), told_plainly(witness)
+    (one, again), other = told([witness, witness]), told_reference(witness)
     assert np.array_equal(one.shifts, again.shifts)
     for name in ("elapsed_s", "shifts", "shown", "receded", "depths", "axis"):
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
@@ -120,7 +120,7 @@ def test_a_blob_that_flies_takes_all_of_its_pixels_along() -> None:
     pixels = np.flatnonzero(now.moving)
     seen_pixels = Visible(pixels, np.zeros(len(pixels), np.int64), np.ones((1, 2, 3)))
     witness = Witness(pair, seen_pixels, np.array([0.0, 0.0, 1.0]))
-    for found in (*told([witness]), told_plainly(witness)):
+    for found in (*told([witness]), told_reference(witness)):
         np.testing.assert_allclose(found.shifts, [[10, 0]], atol=1e-6)
         assert found.shown.all() and np.isfinite(found.variances).all()
         assert found.receded[0] == 0  # what goes 15 m/s is another surface

@@ -10,9 +10,9 @@ from forecast_worlds import RIG
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.forecast.backdrops import UNMEASURED, UNSEEN, revised, revised_plainly
+from twin_node.forecast.backdrops import UNMEASURED, UNSEEN, revised, revised_reference
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.sights import CarvingParameters, Look, sight_plainly, sights_of
+from twin_node.forecast.sights import CarvingParameters, Look, sight_reference, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable
 from twin_node.scene import Bool, Float32, Grid, View
 
@@ -53,7 +53,7 @@ def test_compiled_sights_are_the_plain_ones(seed: int, views: int, error_pixels:
     rng, parameters = np.random.default_rng(seed), CarvingParameters()
     looks = [random_look(rng, error_pixels) for _ in range(views)]
     for look, found in zip(looks, sights_of(looks, parameters), strict=True):
-        plain = sight_plainly(look, parameters)
+        plain = sight_reference(look, parameters)
         assert np.array_equal(found.flags, plain.flags)
         assert np.array_equal(found.free_until, plain.free_until)
         assert (found.surface is None) == (plain.surface is None)
@@ -66,7 +66,7 @@ def test_a_view_that_is_hidden_throughout_is_as_wide_as_can_be() -> None:
     look = random_look(np.random.default_rng(3), 1.5)
     depth = np.full(look.moving.shape, 1.5, np.float32)
     look = replace(look, view=replace(look.view, depth=depth, valid=None), moving=depth > 0, backdrop=2 * depth)
-    (found,), plain = sights_of([look], CarvingParameters()), sight_plainly(look, CarvingParameters())
+    (found,), plain = sights_of([look], CarvingParameters()), sight_reference(look, CarvingParameters())
     assert found.surface is not None and plain.surface is not None
     assert np.array_equal(found.surface.end, plain.surface.end)
 
@@ -80,6 +80,6 @@ def test_compiled_backdrops_are_the_plain_ones(seed: int) -> None:
     kept = kept.astype(np.float32)
     moving, robot = patches(rng, height, width, 0.5), patches(rng, height, width, 0.3)
     given_ = (kept, depths(rng, height, width), moving, robot if rng.uniform() < 0.5 else None)
-    one, other = revised(*given_), revised_plainly(*given_)
+    one, other = revised(*given_), revised_reference(*given_)
     assert np.array_equal(one.kept, other.kept)
     assert np.array_equal(one.filled, other.filled)

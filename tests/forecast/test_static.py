@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_plainly
+from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
 from twin_node.forecast.tables import RigTables
 from twin_node.scene import Float32, Grid, TwinState, View
 
@@ -34,7 +34,7 @@ def test_compiled_marks_are_the_plain_ones(seed: int, voxel_size: float) -> None
     before = rng.uniform(size=grid.size) < 0.01
     one, other = before.copy(), before.copy()
     mark(grid, one, seen, where)
-    mark_plainly(grid, other, seen, where)
+    mark_reference(grid, other, seen, where)
     assert np.array_equal(one, other)
 
 

@@ -12,7 +12,7 @@ from twin_node.forecast import Forecaster
 from twin_node.forecast.experts import GRAVITY
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.parts import Parts, split
-from twin_node.forecast.things import Gathered, Things, gather, gather_plainly, pieces_of, pieces_of_plainly
+from twin_node.forecast.things import Gathered, Things, gather, gather_reference, pieces_of, pieces_of_reference
 from twin_node.scene import HORIZONS_NS, Float64, Grid
 
 PERIOD_NS = 66_000_000
@@ -130,7 +130,7 @@ def scattered(rng: np.random.Generator, count: int) -> Float64:
 @given(st.integers(0, 2**32 - 1), st.integers(0, 200))
 def test_compiled_pieces_are_the_plain_ones(seed: int, count: int) -> None:
     centers = scattered(np.random.default_rng(seed), count)
-    found, plain = pieces_of(centers), pieces_of_plainly(centers)
+    found, plain = pieces_of(centers), pieces_of_reference(centers)
     assert found.dtype == plain.dtype and np.array_equal(found, plain)
 
 
@@ -141,7 +141,7 @@ def test_compiled_things_are_the_plain_ones(seed: int, share: float, likely_shar
     rng, grid = np.random.default_rng(seed), Grid(np.array([0.1, -0.2, 0.3]), 0.02, (31, 25, 17))
     indices = np.flatnonzero(rng.uniform(size=grid.size) < share)
     parts = split(grid, indices, rng.uniform(size=len(indices)) < likely_share)
-    found, plain = gather(parts), gather_plainly(parts)
+    found, plain = gather(parts), gather_reference(parts)
     for name in Gathered.__dataclass_fields__:
         one, other = getattr(found, name), getattr(plain, name)
         assert one.dtype == other.dtype and np.array_equal(one, other), name

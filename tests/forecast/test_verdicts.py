@@ -23,8 +23,8 @@ from twin_node.forecast.verdicts import (
     Sight,
     Surface,
     carved,
-    carved_plainly,
-    verdicts_plainly,
+    carved_reference,
+    verdicts_reference,
 )
 from twin_node.scene import Grid
 
@@ -62,7 +62,7 @@ def random_sight(table: CameraTable, rng: np.random.Generator, patch: int = 1) -
 def test_compiled_verdicts_are_the_plain_ones(seed: int, views: int, patch: int) -> None:
     rng = np.random.default_rng(seed)
     sights = [random_sight(table, rng, patch) for table in TABLES[:views]]
-    assert_the_same(carved(BLOCKS, sights), carved_plainly(BLOCKS, sights))
+    assert_the_same(carved(BLOCKS, sights), carved_reference(BLOCKS, sights))
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -71,12 +71,12 @@ def test_blocks_larger_in_the_image_than_any_window_are_decided_voxel_by_voxel()
     table = CameraTable(wide, BLOCKS)
     assert (table.of_blocks.small.windows[:, 1] - table.of_blocks.small.windows[:, 0]).max() > 128
     sight = random_sight(table, np.random.default_rng(2), 150)
-    assert_the_same(carved(BLOCKS, [sight]), carved_plainly(BLOCKS, [sight]))
+    assert_the_same(carved(BLOCKS, [sight]), carved_reference(BLOCKS, [sight]))
 
 
 def test_every_verdict_occurs() -> None:
     rng = np.random.default_rng(1)
-    found = verdicts_plainly(BLOCKS, [random_sight(table, rng) for table in TABLES])
+    found = verdicts_reference(BLOCKS, [random_sight(table, rng) for table in TABLES])
     assert set(np.unique(found)) == {FREE, ON_ARM, UNKNOWN, MAY_MOVE, LIKELY_MOVES}
 
 

@@ -13,7 +13,7 @@ from test_steps import THRESHOLD, look_at, observe
 
 from twin_node.model import birth_depths
 from twin_node.model.birth_depths import CLOSER, FARTHEST, NEAREST, UNKNOWN, Pixels, known_depths
-from twin_node.model.births import Births, find_births_plainly
+from twin_node.model.births import Births, find_births_reference
 from twin_node.model.compiled_births import find_births
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
@@ -75,7 +75,7 @@ def test_neighbours_that_look_alike_settle_the_depth_of_noisy_pixels(monkeypatch
     assert np.mean(together) < 0.8 * np.mean(alone)
 
 
-@pytest.mark.parametrize("find", [find_births, find_births_plainly])
+@pytest.mark.parametrize("find", [find_births, find_births_reference])
 def test_what_no_other_view_looks_at_is_born_in_the_middle_of_where_none_looks(find: Find) -> None:
     observed = observe(table(), 0.1)
     blind = [observed[0], *(replace(one, usable=np.zeros_like(one.usable)) for one in observed[1:])]

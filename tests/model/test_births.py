@@ -11,7 +11,7 @@ from model_scenes import block, joined, table
 from test_steps import CAMERAS, THRESHOLD, balls, look_at, observe
 
 from twin_node.model import birth_depths
-from twin_node.model.births import SPREAD, Births, block_side, find_births_plainly
+from twin_node.model.births import SPREAD, Births, block_side, find_births_reference
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import refuted_moving
 from twin_node.model.kernels import kernels
@@ -27,7 +27,7 @@ def test_unexplained_pixels_become_gaussians_inside_the_block() -> None:
     assert inside.mean() > 0.85
 
 
-@pytest.mark.parametrize("find", [find_births, find_births_plainly])
+@pytest.mark.parametrize("find", [find_births, find_births_reference])
 @pytest.mark.parametrize("side", [4, 6, 200])
 def test_what_is_of_one_colour_is_covered_by_few_large_blocks_and_small_ones_around(
     find: Callable[..., Births], side: int
@@ -87,7 +87,7 @@ def test_compiled_births_are_those_found_in_numpy(
         usable, stale = (noise.random(one.usable.shape) < share for share in (0.95, 0.1))
         observed.append(replace(one, rgb=rgb, usable=one.usable & usable, stale=stale))
     given = (observed, shown, THRESHOLD, BirthParameters(per_set=150), side)
-    found, expected = find_births(*given), find_births_plainly(*given)
+    found, expected = find_births(*given), find_births_reference(*given)
     assert len(expected) > 120 / side**2
     assert len(found) == len(expected)
     for name, values in vars(expected).items():
@@ -98,9 +98,9 @@ def test_compiled_births_are_those_found_in_numpy(
 @pytest.mark.parametrize("side", [2, 4])
 def test_what_is_too_close_to_a_camera_is_so_for_the_kernel_too(monkeypatch: pytest.MonkeyPatch, side: int) -> None:
     given = (observe(table(), 0.1), look_at(table()), THRESHOLD, BirthParameters(), side)
-    as_they_are = find_births_plainly(*given).means
+    as_they_are = find_births_reference(*given).means
     monkeypatch.setattr(birth_depths, "HUGE", 1.0)
-    found, expected = find_births(*given), find_births_plainly(*given)
+    found, expected = find_births(*given), find_births_reference(*given)
     assert found.means == pytest.approx(expected.means, rel=1e-6)
     assert len(expected) != len(as_they_are) or np.abs(expected.means - as_they_are).max() > 0.01, "it tells"
 

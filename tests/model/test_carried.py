@@ -50,8 +50,8 @@ def test_the_compiled_cloud_is_the_plain_one() -> None:
     gaussians, motion = store()
     rows = torch.cat([gaussians.static_rows, gaussians.other_rows])
     assert len(rows) == len(gaussians)
-    assert same(publishing.cloud_of(gaussians, motion), publishing.cloud_plainly(gaussians, motion, rows), 1e-6)
-    found, expected = (f(gaussians, motion.nodes) for f in (publishing.extents_of, publishing.extents_plainly))
+    assert same(publishing.cloud_of(gaussians, motion), publishing.cloud_reference(gaussians, motion, rows), 1e-6)
+    found, expected = (f(gaussians, motion.nodes) for f in (publishing.extents_of, publishing.extents_reference))
     assert same(found, expected, 1e-12)
 
 
@@ -60,11 +60,11 @@ def test_compiled_cells_are_the_plain_ones() -> None:
     rows = gaussians.moving_rows[gaussians.nodes[gaussians.moving_rows] >= 0]
     means = torch.from_numpy(np.random.default_rng(2).normal(size=(len(rows), 3))).float()
     gaussians.values[rows[0], MEAN] = 1e6  # beyond the last cell
-    found, expected = cells.cells_of(gaussians, rows, means), cells.cells_plainly(gaussians, rows, means)
+    found, expected = cells.cells_of(gaussians, rows, means), cells.cells_reference(gaussians, rows, means)
     assert len(found) > 20
     assert same(found, expected)
     nobody = cells.cells_of(gaussians, rows[:0], means[:0])
-    assert same(nobody, cells.cells_plainly(gaussians, rows[:0], means[:0]))
+    assert same(nobody, cells.cells_reference(gaussians, rows[:0], means[:0]))
     assert len(nobody) == 0
     assert nobody.centres.shape == (0, 3)
 
@@ -72,7 +72,7 @@ def test_compiled_cells_are_the_plain_ones() -> None:
 class PlainCreep(creep.Creep):
     """Tells what creeps by the plain code."""
 
-    _crept = creep.Creep._crept_plainly
+    _crept = creep.Creep._crept_reference
 
 
 def test_cells_are_known_by_their_keys() -> None:

@@ -96,13 +96,13 @@ def test_the_compiled_kernels_tell_and_remember_what_numpy_does(
     for _ in range(3):
         noisy = gain * before + 255 * offset + rng.normal(0, 8, before.shape)
         rgb, still = np.clip(noisy, 0, 255).astype(np.uint8), rng.random((61, 83)) < share
-        one, other = compiled.ratios(rgb, still, exposure), plain.ratios_plainly(rgb, still, exposure)
+        one, other = compiled.ratios(rgb, still, exposure), plain.ratios_reference(rgb, still, exposure)
         assert one.still == other.still
         assert (one.middle is None) == (other.middle is None)
         if one.middle is not None and other.middle is not None:
             assert np.array_equal(one.middle, other.middle)
         compiled.take(rgb, still)
-        plain.take_plainly(rgb, still)
+        plain.take_reference(rgb, still)
         assert np.array_equal(compiled.newest, plain.newest)
         assert np.array_equal(compiled.samples, plain.samples)
 
@@ -114,11 +114,11 @@ def test_images_that_lie_otherwise_in_memory_are_remembered_alike() -> None:
     turned = np.rot90(rng.integers(0, 256, (61, 83, 3), dtype=np.uint8))
     compiled, plain, still = Remembered(turned), Remembered(turned), np.ones(turned.shape[:2], bool)
     next_one = np.clip(turned.astype(int) + rng.integers(-4, 5, turned.shape), 0, 255).astype(np.uint8)
-    one, other = compiled.ratios(next_one, still, PLAIN), plain.ratios_plainly(next_one, still, PLAIN)
+    one, other = compiled.ratios(next_one, still, PLAIN), plain.ratios_reference(next_one, still, PLAIN)
     assert one.middle is not None and other.middle is not None
     np.testing.assert_array_equal(one.middle, other.middle)
     compiled.take(next_one, still)
-    plain.take_plainly(next_one, still)
+    plain.take_reference(next_one, still)
     np.testing.assert_array_equal(compiled.samples, plain.samples)
     np.testing.assert_array_equal(compiled.newest, plain.newest)
 

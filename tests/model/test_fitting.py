@@ -11,7 +11,7 @@ from model_scenes import block, frames, joined, rig, table
 
 from twin_node import splat
 from twin_node.model.carriage import carry
-from twin_node.model.descending import Path, descend_fused, descend_plain
+from twin_node.model.descending import Path, descend_fused, descend_reference
 from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
 from twin_node.model.gaussians import LOG_SCALE, QUICK, RGB, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
@@ -143,7 +143,7 @@ def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays, rows_o
     for mask in masks:
         mask[8:40, 10:60] = True
     outcomes = []
-    for descend in (descend_plain, descend_fused):
+    for descend in (descend_reference, descend_fused):
         store = stored(block(0.1))
         store.values[:, LOG_SCALE] += 0.2 * torch.randn(len(store), 3, generator=torch.Generator().manual_seed(3))
         rows = torch.arange(0, len(store), 2)

@@ -154,7 +154,7 @@ def test_the_compiled_library_places_as_torch_does() -> None:
     some = store.population(rows, motion.nodes)
     poses, stamps = motion.poses([0.0, -0.02]), motion.stamps([0.0, -0.02])
     with torch.no_grad():
-        plain, compiled = motion.place_plain(some, poses, stamps), motion.place_population(some, poses, stamps)
+        plain, compiled = motion.place_reference(some, poses, stamps), motion.place_population(some, poses, stamps)
         from_store = motion.place(store, rows, poses, stamps)
     for name, values in vars(plain).items():
         assert torch.allclose(getattr(compiled, name), values, atol=1e-5), name

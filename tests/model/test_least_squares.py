@@ -79,7 +79,7 @@ def test_the_compiled_kernel_takes_the_step_that_torch_does() -> None:
     views = at_rest(store)
     rng = torch.Generator().manual_seed(4)
     learners = torch.rand(len(store.static_rows), generator=rng) > 0.2
-    for one, take in ((store, Step.take), (other, Step.take_plainly)):
+    for one, take in ((store, Step.take), (other, Step.take_reference)):
         one.values[:, RGB] = (one.values[:, RGB] + 0.15).clamp(0, 1)
         one.values[::3, 7:10] += 0.3
         begun = Step(one, one.static_rows, learners)

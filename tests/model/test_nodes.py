@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from twin_node.model.adoption import grouped, grouped_plainly, nearest, nearest_plainly
-from twin_node.model.carriage import carry, carry_plainly
+from twin_node.model.adoption import grouped, grouped_reference, nearest, nearest_reference
+from twin_node.model.carriage import carry, carry_reference
 from twin_node.model.field import HexPlane
 from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
-from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, advanced, advanced_plainly
+from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, advanced, advanced_reference
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.scene import Tier
 
@@ -196,7 +196,7 @@ def test_compiled_poses_are_those_in_torch() -> None:
     turns[0], turns[1] = 0, 1e-7
     quats = quat_from_vector(torch.randn(20, 3, generator=draw, dtype=torch.float64))
     given = (positions, quats, velocities, turns, [0.0, -0.02, 0.2])
-    found, expected = advanced(*given), advanced_plainly(*given)
+    found, expected = advanced(*given), advanced_reference(*given)
     assert torch.allclose(found.positions, expected.positions, atol=1e-12)
     assert torch.allclose(found.quats, expected.quats, atol=1e-12)
 
@@ -209,7 +209,7 @@ def test_the_nearest_by_kernel_are_those_by_tree(width: int, places: int, things
     draw = np.random.default_rng(5)
     at, own = draw.uniform(0, 4, (places, width)), draw.uniform(0, 4, (things, width))
     found = nearest(at, own)
-    assert np.array_equal(found, nearest_plainly(at, own))
+    assert np.array_equal(found, nearest_reference(at, own))
     assert not len(found) or not things or width == 6 or (found >= 0).any()
 
 
@@ -218,7 +218,7 @@ def test_the_nearest_by_kernel_are_those_by_tree(width: int, places: int, things
 def test_groups_by_kernel_are_those_in_numpy(count: int) -> None:
     places = np.random.default_rng(6).uniform(0, 4, (count, 3))
     found = grouped(places)
-    assert np.array_equal(found, grouped_plainly(places))
+    assert np.array_equal(found, grouped_reference(places))
     assert count < 2 or 1 < found.max() < count - 1
 
 
@@ -232,10 +232,10 @@ def test_how_nodes_have_moved_and_what_they_carry_are_by_kernel_what_they_are_in
     turns[0], turns[1] = 0, 1e-9
     nodes.quats, nodes.positions = quat_product(quat_from_vector(turns), quats), nodes.positions + 0.1
     nodes.quats[2] *= -1
-    assert torch.allclose(nodes.moved, nodes.moved_plainly(), atol=1e-12)
+    assert torch.allclose(nodes.moved, nodes.moved_reference(), atol=1e-12)
     assert torch.allclose(nodes.moved[:, 3:], turns, atol=1e-9)
     poses, carriers = nodes.extrapolated([0.0, 0.1]), torch.tensor([3, -1, 0, 5])
-    compiled, plain = (vars(find(poses, carriers)) for find in (carry, carry_plainly))
+    compiled, plain = (vars(find(poses, carriers)) for find in (carry, carry_reference))
     for name, found in compiled.items():
         expected = plain[name]
         assert found.dtype == expected.dtype

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from twin_node.model.rendering import put_before, put_before_plainly
+from twin_node.model.rendering import put_before, put_before_reference
 
 
 def test_compiled_images_before_their_backdrops_are_those_in_torch_to_the_bit() -> None:
@@ -12,7 +12,7 @@ def test_compiled_images_before_their_backdrops_are_those_in_torch_to_the_bit() 
     renders, backdrop = (torch.rand(2, 13, 17, 4, generator=generator) for _ in range(2))
     alphas = torch.rand(2, 13, 17, 1, generator=generator)
     alphas[:, ::3], renders[:, ::3] = 0, 0
-    expected = put_before_plainly(renders, alphas, backdrop)
+    expected = put_before_reference(renders, alphas, backdrop)
     assert torch.equal(put_before(renders.clone(), alphas, backdrop), expected)
     assert torch.equal(expected[:, ::3], backdrop[:, ::3]), "where nothing is drawn the backdrop shows"
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.model.kernels import kernels
-from twin_node.model.semi_global import JUMP_COST, smoothed, smoothed_plain
+from twin_node.model.semi_global import JUMP_COST, smoothed, smoothed_reference
 from twin_node.native_library import kernel_threads
 
 
@@ -41,4 +41,4 @@ def test_compiled_sums_are_those_in_numpy(shape: tuple[int, int, int]) -> None:
     image[: shape[0] // 2] = 0.5
     for threads in (1, 2, 4):
         with kernel_threads(threads):
-            np.testing.assert_array_equal(smoothed(costs, image), smoothed_plain(costs, image))
+            np.testing.assert_array_equal(smoothed(costs, image), smoothed_reference(costs, image))

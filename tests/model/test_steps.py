@@ -15,15 +15,15 @@ from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import Births
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed, judge_static_plainly, refuted_moving_plainly
+from twin_node.model.deaths import Shapes, are_needed, judge_static_reference, refuted_moving_reference
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
-from twin_node.model.held import SKIRT_PX, held_pixels, held_plainly
+from twin_node.model.held import SKIRT_PX, held_pixels, held_reference
 from twin_node.model.kernels import kernels
 from twin_node.model.nodes import Nodes, Poses
-from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_plainly
-from twin_node.model.occluders import occluders, occluders_plainly
+from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_reference
+from twin_node.model.occluders import occluders, occluders_reference
 from twin_node.model.plane import Plane
 from twin_node.model.rendering import Rendering, Splats, render
 from twin_node.model.sweep import shell_around
@@ -124,7 +124,7 @@ def test_what_is_behind_a_thing_that_left_leaves_with_it_where_depth_shows_the_g
     observed = observe(static, 0.25, depth=True)
     shown = look_at(joined(table(), block(0.25)))
     of_block = static.means[0, :, 2].numpy() > 0.06
-    for judge in (judge_static, judge_static_plainly):
+    for judge in (judge_static, judge_static_reference):
         assert judge(observed, shown, THRESHOLD).left[of_block].mean() > 0.95
 
 
@@ -143,13 +143,13 @@ def test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth: bool) -> Non
     shapes = Shapes(points.astype(np.float32), noise.uniform(0.001, 0.2, count))
     seen = [replace(shapes, means=(points + noise.normal(0, 0.01, points.shape)).astype(np.float32)) for _ in observed]
     carried = noise.random(count) < 0.5
-    found, expected = refuted_moving(observed, seen, carried), refuted_moving_plainly(observed, seen, carried)
+    found, expected = refuted_moving(observed, seen, carried), refuted_moving_reference(observed, seen, carried)
     assert 0.1 < expected.mean() < 0.95
     assert np.count_nonzero(found != expected) <= 1  # a pixel may be the next one by rounding
     shown = look_at(joined(table(), block(0.25)))
-    judged, plainly = judge_static(observed, shown, THRESHOLD), judge_static_plainly(observed, shown, THRESHOLD)
-    assert plainly.left.any() and plainly.moving.any()
-    assert np.array_equal(judged.left, plainly.left) and np.array_equal(judged.moving, plainly.moving)
+    judged, reference = judge_static(observed, shown, THRESHOLD), judge_static_reference(observed, shown, THRESHOLD)
+    assert reference.left.any() and reference.moving.any()
+    assert np.array_equal(judged.left, reference.left) and np.array_equal(judged.moving, reference.moving)
 
 
 @pytest.mark.parametrize("depth", [False, True])
@@ -290,7 +290,7 @@ def test_the_compiled_kernel_holds_a_rendering_to_the_pixels_that_numpy_does() -
     ]
     scattered = np.concatenate([rng.normal(0, 0.4, (3, 40, 3)), rng.normal(0, 4, (3, 40, 3))], 1).astype(np.float32)
     masks = held_pixels(observed, replace(block(0.1), means=torch.from_numpy(scattered)))
-    for mask, plain in zip(masks, held_plainly(observed, scattered), strict=True):
+    for mask, plain in zip(masks, held_reference(observed, scattered), strict=True):
         assert np.array_equal(mask, plain)
         assert 0.05 < mask.mean() < 0.9
 
@@ -310,7 +310,7 @@ def test_the_compiled_kernel_finds_what_stands_before_as_numpy_does() -> None:
     near, far = rng.normal(0, 0.2, (3, 6, 3)), rng.normal(0, 5, (3, 20, 3))
     for points in (near, far, np.concatenate([near, far], 1), near[:, :0]):
         moving = points.astype(np.float32)
-        assert np.array_equal(occluders(known, moving), occluders_plainly(known, moving))
+        assert np.array_equal(occluders(known, moving), occluders_reference(known, moving))
     assert occluders(known, near.astype(np.float32)).any()
 
 
@@ -323,7 +323,7 @@ def test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(is_first:
         near = background.copy()
         near[:, :7] = image[:, :7] / 255 + rng.normal(0, 0.02, (9, 7, 3))
         one = Pixels(image, near, rng.random(shape) > 0.1, rng.random(shape) > 0.8, before)
-        (found,), expected = compare([one], rules), compare_plainly(one, rules)
+        (found,), expected = compare([one], rules), compare_reference(one, rules)
         for name, values in vars(found).items():
             assert np.array_equal(values, vars(expected)[name]), name
         before, rules = found, replace(rules, is_first=False)

@@ -15,7 +15,7 @@ from twin_node.cell.textures import Texture
 from twin_node.geometry import pose, project
 from twin_node.model import sweep as sweeping
 from twin_node.model.kernels import kernels
-from twin_node.model.matching import COLOUR_SIGMA, Sight, compared, compared_plain, match
+from twin_node.model.matching import COLOUR_SIGMA, Sight, compared, compared_reference, match
 from twin_node.model.plane import Plane
 from twin_node.model.rays import pixel_rays
 from twin_node.model.sweep import Surface, shell_around, sweep
@@ -155,7 +155,7 @@ def test_compiled_comparisons_are_those_in_numpy() -> None:
     theirs = replace(_sight(other, second, base), valid=rng.random((HEIGHT, WIDTH)) > 0.2)
     ours = _sight(one, first, base)
     given = (ours, theirs, ours.rays * base[..., None], np.linspace(-1.0, 2.0, 13))
-    (apart, at), (apart_plain, at_plain) = compared(*given), compared_plain(*given)
+    (apart, at), (apart_plain, at_plain) = compared(*given), compared_reference(*given)
     np.testing.assert_array_equal(at, at_plain)
     assert 0.1 < (at < 0).mean() < 0.9
     np.testing.assert_allclose(apart[at >= 0], apart_plain[at >= 0], atol=1e-6)

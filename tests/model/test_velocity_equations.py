@@ -8,9 +8,9 @@ from twin_node.model.velocity_equations import (
     PARAMETERS,
     VelocityEquations,
     judge,
-    judge_plainly,
+    judge_reference,
     velocities_of,
-    velocities_plainly,
+    velocities_reference,
 )
 
 
@@ -28,20 +28,20 @@ def said_of(count: int) -> tuple[VelocityEquations, np.ndarray]:
 def test_compiled_velocities_are_the_plain_ones() -> None:
     said, points = said_of(12)
     for name, found in vars(said.about(points)).items():
-        assert np.allclose(found, vars(said.about_plainly(points))[name], 1e-12, 1e-12)
-    assert np.allclose(velocities_of(said, points), velocities_plainly(said, points), 1e-7, 1e-9)
+        assert np.allclose(found, vars(said.about_reference(points))[name], 1e-12, 1e-12)
+    assert np.allclose(velocities_of(said, points), velocities_reference(said, points), 1e-7, 1e-9)
 
 
 def test_bodies_are_judged_by_the_compiled_kernel_as_by_the_plain_one() -> None:
     said, points = said_of(12)
     for name, found in vars(judge(said, points)).items():
-        assert np.allclose(found, vars(judge_plainly(said, points))[name], 1e-7, 1e-7)
+        assert np.allclose(found, vars(judge_reference(said, points))[name], 1e-7, 1e-7)
 
 
 def test_nobody_is_judged_where_nothing_is_said_of_anybody() -> None:
     said, points = said_of(3)
     nobody = said.of(np.zeros(0, np.int64))
-    for judged in (judge, judge_plainly):
+    for judged in (judge, judge_reference):
         assert len(judged(nobody, points[:0]).evidence) == 0
-    for velocities in (velocities_of, velocities_plainly):
+    for velocities in (velocities_of, velocities_reference):
         assert velocities(nobody, points[:0]).shape == (0, PARAMETERS)

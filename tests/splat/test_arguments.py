@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_scenes import Case, make_case
 
-from twin_node.splat import rasterize, rasterize_plain
+from twin_node.splat import rasterize, rasterize_reference
 
 CASE = make_case(count=9, cameras=2, channels=3)
 TENSORS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
-RENDERERS = pytest.mark.parametrize("renderer", [rasterize, rasterize_plain])
+RENDERERS = pytest.mark.parametrize("renderer", [rasterize, rasterize_reference])
 
 
 def assert_names(case: Case, name: str, renderer: Any = rasterize) -> None:
@@ -70,7 +70,7 @@ def test_wrong_dtypes(name: str, dtype: torch.dtype):
 def test_float64_is_for_the_plain_version():
     with pytest.raises(ValueError, match=r"^means: expected float32"):
         CASE.to(torch.float64).render(rasterize)
-    assert CASE.to(torch.float64).render(rasterize_plain)[0].dtype == torch.float64
+    assert CASE.to(torch.float64).render(rasterize_reference)[0].dtype == torch.float64
 
 
 def test_something_else_than_a_tensor():

@@ -10,7 +10,7 @@ import pytest
 import torch
 from splat_scenes import Case, assert_close, differentiate, make_case
 
-from twin_node.splat import SplatError, cuda, rasterize, rasterize_plain
+from twin_node.splat import SplatError, cuda, rasterize, rasterize_reference
 from twin_node.splat.arguments import Gaussians, Options, Views, check_shapes
 from twin_node.splat.cuda import _gsplat
 
@@ -36,7 +36,7 @@ def on_cuda(case: Case) -> Case:
     ],
 )
 def test_agrees_with_the_plain_version(case: Case):
-    expected = differentiate(rasterize_plain, case.to(torch.float64))
+    expected = differentiate(rasterize_reference, case.to(torch.float64))
     found = differentiate(rasterize, on_cuda(case))
     cpu = replace(
         found,
@@ -51,7 +51,7 @@ def pretended(
     *tensors: torch.Tensor, packed: bool, **options: Any
 ) -> tuple[torch.Tensor, torch.Tensor, dict[str, Any]]:
     """`gsplat.rasterization` on the CPU."""
-    renders, alphas, meta = rasterize_plain(*tensors, **options)
+    renders, alphas, meta = rasterize_reference(*tensors, **options)
     return renders, alphas, vars(meta)
 
 

@@ -18,7 +18,7 @@ from splat_scenes import assert_close, differentiate, make_case
 from twin_node import native_build
 from twin_node.native_build import KernelSources
 from twin_node.native_library import NativeLibrary, load
-from twin_node.splat import SplatError, image_loss, rasterize, rasterize_plain
+from twin_node.splat import SplatError, image_loss, rasterize, rasterize_reference
 from twin_node.splat import library as native
 from twin_node.splat.library import SplatLibrary
 
@@ -226,7 +226,7 @@ def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             image_loss(found.renders, torch.zeros_like(found.renders))
-        assert_close(found, differentiate(rasterize_plain, case.to(torch.float64)))
+        assert_close(found, differentiate(rasterize_reference, case.to(torch.float64)))
     finally:
         native.kernels.cache_clear()
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from twin_node.splat import image_loss, image_loss_plain
+from twin_node.splat import image_loss, image_loss_reference
 from twin_node.splat.library import SplatLibrary
 
 
@@ -51,7 +51,7 @@ def test_agrees_with_the_plain_loss(size: tuple[int, int], channels: int, weight
         options["target_depth"][:, ::3] = 0.0
     doubles = {k: v.double() if isinstance(v, Tensor) else v for k, v in options.items()}
     value, gradient = gradient_of(image_loss, render, target, **options)
-    expected, expected_gradient = gradient_of(image_loss_plain, render.double(), target.double(), **doubles)
+    expected, expected_gradient = gradient_of(image_loss_reference, render.double(), target.double(), **doubles)
     assert float(value) == pytest.approx(float(expected), rel=1e-5)
     error = (gradient - expected_gradient).norm() / expected_gradient.norm()
     assert float(error) < 1e-5
@@ -63,7 +63,7 @@ def test_numeric_gradient():
     weights = patches(40, 64)[:, :5, :6].double() + 0.2
 
     def loss(x: Tensor) -> Tensor:
-        return image_loss_plain(x, target.double(), weights=weights, target_depth=depth, depth_weight=0.5)
+        return image_loss_reference(x, target.double(), weights=weights, target_depth=depth, depth_weight=0.5)
 
     assert torch.autograd.gradcheck(loss, render.double().requires_grad_())
 
@@ -93,7 +93,7 @@ def test_pixels_outside_the_mask_do_not_matter(library: SplatLibrary):
     assert not bool(gradient[~mask].any())
 
 
-@pytest.mark.parametrize("loss", [image_loss, image_loss_plain])
+@pytest.mark.parametrize("loss", [image_loss, image_loss_reference])
 def test_no_pixel_counts(loss: Any):
     render, target = images(2, 12, 12)
     value, gradient = gradient_of(loss, render, target, weights=torch.zeros(2, 12, 12))
@@ -134,7 +134,7 @@ def test_leading_dimensions_do_not_matter(library: SplatLibrary):
     assert torch.equal(value, grouped)
 
 
-@pytest.mark.parametrize("loss", [image_loss, image_loss_plain])
+@pytest.mark.parametrize("loss", [image_loss, image_loss_reference])
 @pytest.mark.parametrize("name", ["render", "target", "weights", "target_depth"])
 def test_values_that_are_not_finite(loss: Any, name: str):
     render, target = images(1, 12, 13, 4)

@@ -9,11 +9,11 @@ import pytest
 import torch
 from splat_scenes import INPUTS, Case, make_case
 
-from twin_node.splat import Missed, MissedPlainly, Sight, Tolerance
+from twin_node.splat import Missed, MissedReference, Sight, Tolerance
 from twin_node.splat.library import SplatLibrary
 
 TOLERANCE = Tolerance(outlier=0.1, depth_gain=2.0, nearest=1e-3)
-Kind = TypeVar("Kind", Missed, MissedPlainly)
+Kind = TypeVar("Kind", Missed, MissedReference)
 
 
 def missed_of(kind: type[Kind], case: Case, with_depth: bool) -> Kind:
@@ -35,15 +35,15 @@ def missed_of(kind: type[Kind], case: Case, with_depth: bool) -> Kind:
 @pytest.mark.parametrize("with_depth", [False, True])
 def test_agrees_with_the_plain_one(with_depth: bool, library: SplatLibrary) -> None:
     case = make_case(channels=3)
-    fast, plain = (missed_of(kind, case, with_depth) for kind in (Missed, MissedPlainly))
+    fast, plain = (missed_of(kind, case, with_depth) for kind in (Missed, MissedReference))
     for name in ("means", "quats", "scales", "opacities", "rgb", "weights"):
         ours, theirs = getattr(fast.pull, name), getattr(plain.pull, name)
         assert theirs.abs().max() > 0
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
 
 
-@pytest.mark.parametrize("kind", [Missed, MissedPlainly])
-def test_no_gaussians_miss_nothing(kind: type[Missed | MissedPlainly], library: SplatLibrary) -> None:
+@pytest.mark.parametrize("kind", [Missed, MissedReference])
+def test_no_gaussians_miss_nothing(kind: type[Missed | MissedReference], library: SplatLibrary) -> None:
     case = make_case(channels=3)
     none = replace(case, **{name: getattr(case, name)[:0] for name in INPUTS if name != "viewmats"})
     missed = missed_of(kind, none, with_depth=True)

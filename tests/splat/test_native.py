@@ -12,7 +12,7 @@ from splat_scenes import INPUTS, Case, assert_close, differentiate, make_case
 from twin_node import native_build
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat import rasterize, rasterize_plain
+from twin_node.splat import rasterize, rasterize_reference
 from twin_node.splat.library import SplatLibrary, torch_alone
 
 
@@ -51,7 +51,7 @@ CASES = parity_cases()
 
 @pytest.mark.parametrize("name", CASES)
 def test_agrees_with_the_plain_version(name: str, library: SplatLibrary):
-    expected = differentiate(rasterize_plain, CASES[name].to(torch.float64))
+    expected = differentiate(rasterize_reference, CASES[name].to(torch.float64))
     found = differentiate(rasterize, CASES[name])
     assert float(expected.alphas.max()) > 0.005
     assert_close(found, expected)
@@ -69,7 +69,7 @@ def test_every_instruction_set_agrees(variant: str, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(native, "kernels", lambda: other)
     for name in ("degree 3, expected depth", "nineteen channels", "flat and long", "mask"):
         assert_close(
-            differentiate(rasterize, CASES[name]), differentiate(rasterize_plain, CASES[name].to(torch.float64))
+            differentiate(rasterize, CASES[name]), differentiate(rasterize_reference, CASES[name].to(torch.float64))
         )
 
 
@@ -90,7 +90,7 @@ def test_means_per_camera_share_the_rest(library: SplatLibrary):
         renders, alphas, _ = own.render(rasterize)
         assert torch.equal(found.renders[index], renders)
         assert torch.equal(found.alphas[index], alphas)
-    assert_close(found, differentiate(rasterize_plain, case.to(torch.float64)))
+    assert_close(found, differentiate(rasterize_reference, case.to(torch.float64)))
     expanded = replace(
         case,
         quats=case.quats.expand(3, -1, -1),
@@ -110,14 +110,14 @@ def test_colors_per_camera(channels: int | None, library: SplatLibrary):
     case = make_case(channels=channels, sh_degree=1, cameras=2)
     colors = torch.stack([case.colors, 1 - case.colors])
     case = replace(case, colors=colors)
-    assert_close(differentiate(rasterize, case), differentiate(rasterize_plain, case.to(torch.float64)))
+    assert_close(differentiate(rasterize, case), differentiate(rasterize_reference, case.to(torch.float64)))
 
 
 def test_gradient_of_the_backgrounds(library: SplatLibrary):
     backgrounds = torch.rand(2, 3)
     case = make_case(sh_degree=0, render_mode="RGB+D", pixel_mask=torch.rand(2, 32, 48) > 0.3)
     gradients = []
-    for renderer, dtype in ((rasterize, torch.float32), (rasterize_plain, torch.float64)):
+    for renderer, dtype in ((rasterize, torch.float32), (rasterize_reference, torch.float64)):
         leaf = backgrounds.to(dtype).requires_grad_()
         renders, _, _ = case.to(dtype).with_options(backgrounds=leaf).render(renderer)
         gradients.append(torch.autograd.grad(renders.square().sum(), leaf)[0].double())
@@ -267,7 +267,7 @@ def test_overflowing_projections_are_culled(library: SplatLibrary):
 
 def test_gaussians_without_a_size_are_drawn_as_the_blur(library: SplatLibrary):
     case = replace(make_case(channels=3), scales=torch.zeros(300, 3))
-    assert_close(differentiate(rasterize, case), differentiate(rasterize_plain, case.to(torch.float64)))
+    assert_close(differentiate(rasterize, case), differentiate(rasterize_reference, case.to(torch.float64)))
 
 
 def test_equal_depths_keep_the_gaussians_order(library: SplatLibrary):
@@ -275,4 +275,4 @@ def test_equal_depths_keep_the_gaussians_order(library: SplatLibrary):
     flat = case.means.clone()
     flat[:, 2] = 1.5
     case = replace(case, means=flat, viewmats=torch.eye(4)[None])
-    assert_close(differentiate(rasterize, case), differentiate(rasterize_plain, case.to(torch.float64)))
+    assert_close(differentiate(rasterize, case), differentiate(rasterize_reference, case.to(torch.float64)))

@@ -10,7 +10,7 @@ from twin_node.splat import semantics
 from twin_node.splat.arguments import Gaussians, Options, Rendered, Views, check_shapes
 from twin_node.splat.cpu import render_native
 from twin_node.splat.library import SplatLibrary
-from twin_node.splat.plain import render_plain
+from twin_node.splat.reference import render_reference
 
 
 @pytest.mark.parametrize("version", ["1.5.3", "1.5", "1.4.0", "1", "1.5.3+pt24cu124", "1.5rc2"])
@@ -34,7 +34,7 @@ def test_backends_follow_the_same_constants(library: SplatLibrary):
         views = Views(case.viewmats, case.Ks, case.width, case.height, None, None)
         scene = check_shapes(gaussians, views, Options())
         if case.means.dtype == torch.float64:
-            return render_plain(scene, constants)
+            return render_reference(scene, constants)
         return render_native(scene, library, constants)
 
     today, coming = (images(opaque_case(), c) for c in (semantics.GSPLAT_1_5, semantics.GSPLAT_1_6))

@@ -8,7 +8,7 @@ import pytest
 import torch
 from splat_scenes import Case, make_case
 
-from twin_node.splat import Shot, draw_still, draw_still_plainly
+from twin_node.splat import Shot, draw_still, draw_still_reference
 from twin_node.splat.library import SplatLibrary
 
 
@@ -20,12 +20,12 @@ def shot(case: Case, camera: int) -> Shot:
 @pytest.mark.parametrize("camera", [0, 1])
 def test_agrees_with_the_plain_one(camera: int, library: SplatLibrary) -> None:
     case = make_case(channels=3)
-    (fast, alpha), (plain, other) = (of(shot(case, camera)) for of in (draw_still, draw_still_plainly))
+    (fast, alpha), (plain, other) = (of(shot(case, camera)) for of in (draw_still, draw_still_reference))
     assert other.max() > 0.5 and plain.shape == (case.height, case.width, 4)
     assert torch.equal(fast, plain) and torch.equal(alpha, other)
 
 
-@pytest.mark.parametrize("draw", [draw_still, draw_still_plainly])
+@pytest.mark.parametrize("draw", [draw_still, draw_still_reference])
 def test_nobody_is_seen_as_nothing(draw: object, library: SplatLibrary) -> None:
     assert callable(draw)
     case = make_case(channels=3)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from splat_scenes import Case, make_case
 
-from twin_node.splat import rasterize, weigh, weigh_plainly
+from twin_node.splat import rasterize, weigh, weigh_reference
 from twin_node.splat.library import SplatLibrary
 
 
@@ -20,7 +20,7 @@ def given(case: Case, camera: int) -> tuple[torch.Tensor, ...]:
 def test_agrees_with_the_plain_one(camera: int, library: SplatLibrary) -> None:
     case = make_case(channels=3)
     seen = given(case, camera)
-    fast, plain = (of(*seen, case.width, case.height) for of in (weigh, weigh_plainly))
+    fast, plain = (of(*seen, case.width, case.height) for of in (weigh, weigh_reference))
     assert plain.max() > 1 and (plain == 0).any()
     torch.testing.assert_close(fast, plain, rtol=1e-5, atol=1e-6)
 
@@ -29,7 +29,7 @@ def test_no_gaussians_have_no_weights(library: SplatLibrary) -> None:
     case = make_case(channels=3)
     *gaussians, viewmat, K = given(case, 0)
     none = [of[:0] for of in gaussians]
-    for weights in (weigh, weigh_plainly):
+    for weights in (weigh, weigh_reference):
         assert weights(*none, viewmat, K, case.width, case.height).shape == (0,)
 
 

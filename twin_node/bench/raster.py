@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from twin_node.splat import image_loss, rasterize, rasterize_plain
+from twin_node.splat import image_loss, rasterize, rasterize_reference
 
 FIELD_OF_VIEW = math.radians(70)
 SH_C0 = 0.28209479177387814
@@ -75,7 +75,7 @@ def run(bench: RasterBench | None = None) -> dict[str, Any]:
     on_cuda = torch.cuda.is_available()
     return {
         "cpu": [_measure(rasterize, _room(size), bench.repetitions) for size in bench.cpu],
-        "plain": [_measure(rasterize_plain, _room(size), bench.plain_repetitions) for size in bench.plain],
+        "plain": [_measure(rasterize_reference, _room(size), bench.plain_repetitions) for size in bench.plain],
         "cuda": [_measure_cuda(_room(size, "cuda"), bench.repetitions) for size in bench.cuda] if on_cuda else None,
         "training_iteration_ms": _training_iteration(bench),
         "masked_ratio": _masked_ratio(bench),

@@ -91,11 +91,11 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> A
     """What the sightings, the wholes and what is expected agree on best.
 
     What falls goes as all of it went: what images show of it spins, and is further on than flow looks. Compiled;
-    `agreed_plainly` where that cannot be, the same but for rounding.
+    `agreed_reference` where that cannot be, the same but for rounding.
     """
     compiled = kernels.kernels()
     if compiled is None:
-        return agreed_plainly(sightings, expected, whole)
+        return agreed_reference(sightings, expected, whole)
     given = (part_requests.SolveView * len(sightings))()
     held = [_arrays(one) for one in sightings]  # alive until the call is over
     for row, (one, arrays) in enumerate(zip(sightings, held, strict=True)):
@@ -117,16 +117,16 @@ def _arrays(one: Sighting) -> tuple[NDArray[Any], ...]:
     return (*(np.ascontiguousarray(array, np.float64) for array in given), np.ascontiguousarray(one.shown))
 
 
-def agreed_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Agreement:
+def agreed_reference(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Agreement:
     """What `agreed` does."""
-    found, falling = _solved_plainly(sightings, expected, whole), whole.falling
+    found, falling = _solved_reference(sightings, expected, whole), whole.falling
     velocities = np.where(falling[:, None], whole.velocities, found.velocities)
     sigmas = np.where(falling, np.minimum(whole.sigmas, UNKNOWN_SPEED), found.sigmas)
     lost = [one.has_lost(velocities) for one in sightings]
     return Agreement(Estimate(velocities, sigmas), np.array(lost, np.bool_))
 
 
-def _solved_plainly(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
+def _solved_reference(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> Estimate:
     """The same of what does not fall."""
     prior = expected.velocities
     designs = [sighting.jacobian * sighting.elapsed_s for sighting in sightings]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.bits import Masks, all_told
-from twin_node.forecast.growth import FARTHEST, REACHES, ROUNDING, reach_of, shifts_of, spread_plainly
+from twin_node.forecast.growth import FARTHEST, REACHES, ROUNDING, reach_of, shifts_of, spread_reference
 from twin_node.forecast.kernel_requests import AheadRequest, GrowRequest
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.parts import PART_SIZE, Parts
@@ -51,10 +51,10 @@ def layers_of(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     Rims, which only errors of the carving add, go with their parts and are widened little: what moves is elsewhere.
     Bounds within the rounding to voxels, as those of now are, do not widen them: they are errors already.
     What leaves is outside already, where a wider bound blocks nothing, and what matters is that it may return: it is
-    held along all of its way. Compiled; `layers_of_plainly` where that cannot be.
+    held along all of its way. Compiled; `layers_of_reference` where that cannot be.
     """
     compiled = kernels()
-    return layers_of_plainly(grid, ahead) if compiled is None else _layers_by(compiled, grid, ahead)
+    return layers_of_reference(grid, ahead) if compiled is None else _layers_by(compiled, grid, ahead)
 
 
 def _layers_by(compiled: Kernels, grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
@@ -72,7 +72,7 @@ def _layers_by(compiled: Kernels, grid: Grid, ahead: Ahead) -> tuple[OccupancyLa
     return tuple(OccupancyLayer(horizon, *one) for horizon, one in zip(HORIZONS_NS, found, strict=True))
 
 
-def layers_of_plainly(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
+def layers_of_reference(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     """What `layers_of` does."""
     parts, still = ahead.parts, np.zeros((len(ahead.started), 1, 3))
     moved = np.concatenate([ahead.displacements, ahead.displacements, still], axis=1)
@@ -81,7 +81,7 @@ def layers_of_plainly(grid: Grid, ahead: Ahead) -> tuple[OccupancyLayer, ...]:
     may_turn = np.append(np.tile(ahead.turning | _leaves(grid, ahead), 2), False)
     points = parts.points_and_rims.beside(ahead.resting, 2 * parts.count)
     ways = beside(whole_ways(points, moved, radii, may_turn), parts.points, ahead.swerves)
-    spreads = spread_plainly(grid, ways.points, shifts_of(grid, ways.displacements), reach_of(grid, ways.radii))
+    spreads = spread_reference(grid, ways.points, shifts_of(grid, ways.displacements), reach_of(grid, ways.radii))
     core, bound = np.uint8(CORE_PROBABILITY), np.uint8(BOUND_PROBABILITY)
     return tuple(
         OccupancyLayer(horizon, reached.indices, np.where(reached.core, core, bound))

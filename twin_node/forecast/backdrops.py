@@ -71,10 +71,10 @@ class Backdrop:
 
 
 def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
-    """The backdrop [H, W] after one more image, filled too. Compiled; `revised_plainly` where that cannot be."""
+    """The backdrop [H, W] after one more image, filled too. Compiled; `revised_reference` where that cannot be."""
     compiled = kernels()
     if compiled is None:
-        return revised_plainly(before, depth, moving, robot)
+        return revised_reference(before, depth, moving, robot)
     found, (height, width) = Backdrop(np.empty_like(before), np.empty_like(before)), before.shape
     given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before)
     sizes, lengths = (width, height, HOLE), (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
@@ -82,7 +82,7 @@ def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -
     return found
 
 
-def revised_plainly(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
+def revised_reference(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
     """What `revised` does."""
     bare = np.ones_like(moving) if robot is None else ~robot
     known = bare & (depth > 0)

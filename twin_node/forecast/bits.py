@@ -56,19 +56,19 @@ class Bits:
 
     @classmethod
     def of_indices(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
-        """Those of flat indices [n]. Compiled; `of_indices_plainly` where that cannot be.
+        """Those of flat indices [n]. Compiled; `of_indices_reference` where that cannot be.
 
         Raises `IndexError` for voxels that are not in the grid.
         """
         compiled = kernels()
         if compiled is None:
-            return cls.of_indices_plainly(dims, indices)
+            return cls.of_indices_reference(dims, indices)
         found, places = cls.none(dims), np.ascontiguousarray(indices, np.int64)
         compiled.pack(PackRequest(len(places), *dims, *addresses_of(places, found.words)))
         return found
 
     @classmethod
-    def of_indices_plainly(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
+    def of_indices_reference(cls, dims: Dims, indices: NDArray[np.integer]) -> Bits:
         """What `of_indices` does."""
         mask = np.zeros(int(np.prod(dims)), np.bool_)
         mask[indices] = True
@@ -92,15 +92,15 @@ class Bits:
         return compiled.tally(TallyRequest(words.size, *addresses_of(words)))
 
     def listed(self, marks: Bits) -> Listed:
-        """The voxels, and which of them are marked too. Compiled; `listed_plainly` where that cannot be."""
+        """The voxels, and which of them are marked too. Compiled; `listed_reference` where that cannot be."""
         compiled = kernels()
         if compiled is None:
-            return self.listed_plainly(marks)
+            return self.listed_reference(marks)
         masks = Masks(self.dims, self.words[None], marks.words[None], np.array([self.count]))
         ((indices, told),) = all_told(compiled, masks, marked=1, unmarked=0)
         return Listed(indices, told.view(np.bool_))
 
-    def listed_plainly(self, marks: Bits) -> Listed:
+    def listed_reference(self, marks: Bits) -> Listed:
         """What `listed` does."""
         indices = np.flatnonzero(self.mask())
         return Listed(indices.astype(np.uint32), marks.mask()[indices])

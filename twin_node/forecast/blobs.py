@@ -47,7 +47,7 @@ class Blobs:
         return mine
 
 
-def blobs_plainly(mask: Bool) -> Blobs:
+def blobs_reference(mask: Bool) -> Blobs:
     """The blobs of a mask [H, W]."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     within = slice(top, top + height), slice(left, left + width)
@@ -81,7 +81,7 @@ class Flight:
         return float(np.median(here) - np.median(there)) if len(here) and len(there) else np.nan
 
 
-def flights_plainly(mine: Blobs, others: Blobs) -> list[Flight]:
+def flights_reference(mine: Blobs, others: Blobs) -> list[Flight]:
     """Small things that went further between two images than flow looks, by the blobs of now and of before."""
     if len(mine.compact) == 0 or len(others.compact) == 0:
         return []

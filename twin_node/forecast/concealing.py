@@ -27,12 +27,12 @@ def concealed(carved: Carved, knows_arm: bool, stands: Bits, before: Bits) -> Co
     """What a carved state does not show, where some space `stands`, and some was unseen `before`.
 
     What all views see on the arm counts as the arm, unless its own space is known. It is told as unknown then, and is
-    no hiding place: it surrounds the arm closely, and would join all of its shadows. Compiled; `concealed_plainly`
+    no hiding place: it surrounds the arm closely, and would join all of its shadows. Compiled; `concealed_reference`
     where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return concealed_plainly(carved, knows_arm, stands, before)
+        return concealed_reference(carved, knows_arm, stands, before)
     on_arm = carved.on_arm.words if knows_arm else None
     found = Concealed(Bits.room(stands.dims), Bits(stands.dims, before.words.copy()))
     masks = (carved.unknown.words, carved.may_move.words, carved.likely_moves.words, on_arm, stands.words)
@@ -40,7 +40,7 @@ def concealed(carved: Carved, knows_arm: bool, stands: Bits, before: Bits) -> Co
     return found
 
 
-def concealed_plainly(carved: Carved, knows_arm: bool, stands: Bits, before: Bits) -> Concealed:
+def concealed_reference(carved: Carved, knows_arm: bool, stands: Bits, before: Bits) -> Concealed:
     """What `concealed` does."""
     hiding = carved.unknown.without(stands)
     behind = carved.may_move.without(carved.likely_moves) & before

@@ -57,13 +57,13 @@ def covers(wanted: Sequence[Wanted], before: UInt32) -> Covers:
     """Boxes for each of what is wanted, on about as little space as possible (`boxes.fitted`).
 
     `before` [k]: ids of an earlier cover, whose boxes are kept where they are nearly as good. Compiled;
-    `covers_plainly` where that cannot be. Raises `ForecastError` for voxels that are not in their grid, and for a mask
-    of another.
+    `covers_reference` where that cannot be. Raises `ForecastError` for voxels that are not in their grid, and for a
+    mask of another.
     """
     for one in wanted:
         _require_inside(one)
     compiled = kernels()
-    return covers_plainly(wanted, before) if compiled is None else _covers_by(compiled, wanted, before)
+    return covers_reference(wanted, before) if compiled is None else _covers_by(compiled, wanted, before)
 
 
 def _require_inside(wanted: Wanted) -> None:
@@ -120,7 +120,7 @@ def _lists(
     return first, second, None
 
 
-def covers_plainly(wanted: Sequence[Wanted], before: UInt32) -> Covers:
+def covers_reference(wanted: Sequence[Wanted], before: UInt32) -> Covers:
     """What `covers` does."""
     found, ids = [], []
     for one in wanted:

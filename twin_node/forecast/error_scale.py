@@ -48,10 +48,10 @@ class Came:
 
 
 def regress(scale: Scale, came: Came) -> None:
-    """Learns from errors. Compiled; `regress_plainly` where that cannot be, the same but for rounding."""
+    """Learns from errors. Compiled; `regress_reference` where that cannot be, the same but for rounding."""
     compiled = kernels()
     if compiled is None:
-        regress_plainly(scale, came)
+        regress_reference(scale, came)
         return
     given = (np.ascontiguousarray(came.then), np.ascontiguousarray(came.logs), PRIOR_SLOPES)
     lengths = (came.kept, came.weight, _UPPER, _RIDGE)
@@ -59,7 +59,7 @@ def regress(scale: Scale, came: Came) -> None:
     compiled.regress(RegressRequest(len(came.logs), len(PRIOR_SLOPES), *lengths, *addresses))
 
 
-def regress_plainly(scale: Scale, came: Came) -> None:
+def regress_reference(scale: Scale, came: Came) -> None:
     """What `regress` does."""
     then, ridge = came.then, np.eye(len(PRIOR_SLOPES)) * _RIDGE
     above = came.logs > then @ scale.slopes

@@ -88,11 +88,11 @@ def spread(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16)
     """Per layer the voxels of `grid` within a part's reach of one of its points.
 
     In each of H layers every part of `points` has moved by its `shifts` [H, M, 3] (voxels) and has its `reach` [H, M]
-    (quarter voxels). Compiled; `spread_plainly` where that cannot be.
+    (quarter voxels). Compiled; `spread_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return spread_plainly(grid, points, shifts, reach)
+        return spread_reference(grid, points, shifts, reach)
     return _spread_by(compiled, grid, points, shifts, reach)
 
 
@@ -113,15 +113,15 @@ def _spread_by(
     return tuple(Spread(one.indices, one.values.view(np.bool_)) for one in found)
 
 
-def spread_plainly(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16) -> tuple[Spread, ...]:
+def spread_reference(grid: Grid, points: Points, shifts: NDArray[np.int32], reach: UInt16) -> tuple[Spread, ...]:
     """What `spread` does, by exact distance transforms: one per layer and reach."""
     return tuple(
-        _layer_plainly(grid, points.places + layer.T[:, points.labels], own[points.labels], points.core)
+        _layer_reference(grid, points.places + layer.T[:, points.labels], own[points.labels], points.core)
         for layer, own in zip(shifts, reach, strict=True)
     )
 
 
-def _layer_plainly(grid: Grid, places: NDArray[np.int32], reach: UInt16, core_points: Bool) -> Spread:
+def _layer_reference(grid: Grid, places: NDArray[np.int32], reach: UInt16, core_points: Bool) -> Spread:
     from scipy.ndimage import distance_transform_edt  # loads slowly, and kernels do without
 
     reached, core = np.zeros((2, *grid.dims), np.bool_)

@@ -101,11 +101,11 @@ class Seen:
 def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     """Unknown voxels that something may come out of; the memory is brought up to date.
 
-    Compiled; `follow_plainly` where that cannot be.
+    Compiled; `follow_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return follow_plainly(grid, memory, seen)
+        return follow_reference(grid, memory, seen)
     reachable = Bits.none(grid.dims)
     given = tuple(np.ascontiguousarray(mask.words) for mask in (seen.unknown, seen.moving, seen.standing))
     kept: tuple[NDArray[np.generic], ...] = (memory.ages_s, memory.reached.words, memory.maybe_full.words)
@@ -116,7 +116,7 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     return reachable
 
 
-def follow_plainly(grid: Grid, memory: Memory, seen: Seen) -> Bits:
+def follow_reference(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     """What `follow` does."""
     unknown, moving = seen.unknown.words, seen.moving.words
     ways = _ways(grid, unknown, moving, seen.standing.words)

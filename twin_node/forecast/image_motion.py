@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_plainly, flights_plainly
+from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_reference, flights_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.pace import LONGEST_GAP_S
 from twin_node.forecast.part_requests import SeeRequest
@@ -82,10 +82,10 @@ class Image:
 
 
 def seen(views: Sequence[View], moving: Sequence[Bool]) -> list[Image]:
-    """The images of views that show something moving [H, W] each. Compiled; `seen_plainly` where that cannot be."""
+    """The images of views that show something moving [H, W] each. Compiled; `seen_reference` where that cannot be."""
     compiled = kernels()
     if compiled is None:
-        return [seen_plainly(*one) for one in zip(views, moving, strict=True)]
+        return [seen_reference(*one) for one in zip(views, moving, strict=True)]
     rows = [_SeenRow(view, mask) for view, mask in zip(views, moving, strict=True)]
     compiled.see([row.request() for row in rows], thread_count())
     return [row.image() for row in rows]
@@ -112,13 +112,13 @@ class _SeenRow:
         return Image(self._view.stamp, self._grey, self._shown, _measured(self._view), blobs, Window(*window))
 
 
-def seen_plainly(view: View, moving: Bool) -> Image:
+def seen_reference(view: View, moving: Bool) -> Image:
     """What `seen` does."""
     shown = near(moving, 1)
     grey = np.where(shown, cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), _GREY).astype(np.uint8)
     left, top, width, height = cv2.boundingRect(shown.astype(np.uint8))
     window = Window(left, left + width, top, top + height) if width else Window(0, 0, 0, 0)
-    return Image(view.stamp, grey, shown, _measured(view), blobs_plainly(shown), window)
+    return Image(view.stamp, grey, shown, _measured(view), blobs_reference(shown), window)
 
 
 def _measured(view: View) -> Float32 | None:
@@ -211,14 +211,14 @@ class Shifts:
     """[H, W] what was found as a whole, not by flow: small things that fly far between two images."""
 
 
-def shifts_plainly(pair: Pair) -> Shifts:
+def shifts_reference(pair: Pair) -> Shifts:
     """What all pixels of what moves show; the compiled code looks up those that are asked for."""
     now, before = pair.now, pair.before
     pixels = np.zeros((*now.grey.shape, 2), np.float32)
     pixels[pair.window.slices] = -pair.flow
     found, receded = _traced(pair, pixels)
     flying = np.zeros(now.grey.shape, np.bool_)
-    for flight in flights_plainly(now.blobs, before.blobs):
+    for flight in flights_reference(now.blobs, before.blobs):
         flying |= flight.now
         pixels[flight.now] = flight.shift
         if receded is not None and now.depth is not None and before.depth is not None:

@@ -37,11 +37,11 @@ class Led:
 def led(guides: Guides, learnt: Float64, weights: Float64, horizons: Float64) -> Led:
     """Where experts with `weights` [E, M] lead nodes in `horizons` [H] (s).
 
-    `learnt` [H, F]: weights of the autoregression's features. Compiled; `led_plainly` where that cannot be.
+    `learnt` [H, F]: weights of the autoregression's features. Compiled; `led_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return led_plainly(guides, learnt, weights, horizons)
+        return led_reference(guides, learnt, weights, horizons)
     return _led_by(compiled, guides, learnt, weights, horizons)
 
 
@@ -56,7 +56,7 @@ def _led_by(compiled: Kernels, guides: Guides, learnt: Float64, weights: Float64
     return found
 
 
-def led_plainly(guides: Guides, learnt: Float64, weights: Float64, horizons: Float64) -> Led:
+def led_reference(guides: Guides, learnt: Float64, weights: Float64, horizons: Float64) -> Led:
     """What `led` does."""
     plain = [expert(guides.history, horizons) for expert in EXPERTS]
     remembered = np.einsum("hf,mcf->hmc", learnt, guides.features)

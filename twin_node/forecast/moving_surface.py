@@ -40,11 +40,11 @@ def moving_surface(seen: Sequence[Moving], margin: Margin, parts: Parts, forecas
     """The points that views measure on what moves, against the `parts` of now and the `forecast` for now.
 
     `forecast` [m]: flat indices in the inner grid. The parts' indices are of the outer grid, and rise. Compiled;
-    `moving_surface_plainly` where that cannot be.
+    `moving_surface_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None or not seen:
-        return moving_surface_plainly(seen, margin, parts, forecast)
+        return moving_surface_reference(seen, margin, parts, forecast)
     return _found_by(compiled, seen, margin, parts, forecast)
 
 
@@ -79,7 +79,7 @@ def _arrays(one: Moving) -> tuple[NDArray[np.generic], ...]:
     )
 
 
-def moving_surface_plainly(
+def moving_surface_reference(
     seen: Sequence[Moving], margin: Margin, parts: Parts, forecast: NDArray[np.int64]
 ) -> MovingSurface:
     """What `moving_surface` does."""

@@ -25,14 +25,14 @@ class Nearest(NamedTuple):
 def nearest(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
     """The `count` of the points `among` [..., m, 3] that are nearest to each of `points` [n, 3], nearer than `within`.
 
-    All in metres. Compiled: to look at all of some hundred takes less time than to build a tree; `nearest_plainly` for
-    more, and where that cannot be.
+    All in metres. Compiled: to look at all of some hundred takes less time than to build a tree; `nearest_reference`
+    for more, and where that cannot be.
     """
     compiled, pairs = kernels(), len(points) * among.shape[-2]
     if compiled is not None and pairs <= _MOST_PAIRS:
         return _nearest_by(compiled, points, among, count, within)
     if count > 1 or among.ndim > 2:
-        return nearest_plainly(points, among, count, within)
+        return nearest_reference(points, among, count, within)
     distances, rows = nearest_one(points, among, within)
     return Nearest(distances[:, None], rows[:, None])
 
@@ -46,12 +46,12 @@ def _nearest_by(compiled: Kernels, points: Float64, among: Float64, count: int, 
     return found
 
 
-def nearest_plainly(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
+def nearest_reference(points: Float64, among: Float64, count: int = 1, within: float = np.inf) -> Nearest:
     """What `nearest` does, by a tree for each group."""
     from scipy.spatial import cKDTree  # loads slowly, and kernels do without
 
     if among.ndim > 2:
-        groups = [nearest_plainly(points, group, count, within) for group in among]
+        groups = [nearest_reference(points, group, count, within) for group in among]
         return Nearest(np.stack([group.distances for group in groups]), np.stack([group.rows for group in groups]))
     known = np.flatnonzero(np.isfinite(among).all(axis=1))
     distances, rows = cKDTree(among[known]).query(points, np.arange(1, count + 1), distance_upper_bound=within)
@@ -77,7 +77,7 @@ def nearest_one(points: Float64, among: Float64, within: float = np.inf) -> Near
         distances, rows = _nearest_by(compiled, points, among, 2, within)
         if not ((distances[:, 0] == distances[:, 1]) & (rows[:, 1] < len(among))).any():
             return NearestOne(distances[:, 0], rows[:, 0])
-    distances, rows = nearest_plainly(points, among, 1, within)
+    distances, rows = nearest_reference(points, among, 1, within)
     return NearestOne(distances[:, 0], rows[:, 0])
 
 

@@ -25,7 +25,7 @@ from twin_node.forecast.experts import (
     mix,
 )
 from twin_node.forecast.kernels import Kernels, kernels
-from twin_node.forecast.leading import Guides, Led, led_plainly
+from twin_node.forecast.leading import Guides, Led, led_reference
 from twin_node.forecast.neighbours import BODY_SCALE, CELL, NEAR_SCALE, Closest, Neighbours, closest
 from twin_node.forecast.part_requests import OutlookRequest
 from twin_node.forecast.records import Rows
@@ -75,12 +75,12 @@ def outlook(
     """Where the nodes that a history ends with are led in `horizons` [H] (s).
 
     `floors` [M]: heights in metres that they bounce from. `learnt` [H, F]: weights of the autoregression's features.
-    `near`: what `closest` says of where the nodes are, if that is known. Compiled; `outlook_plainly` where that cannot
-    be.
+    `near`: what `closest` says of where the nodes are, if that is known. Compiled; `outlook_reference` where that
+    cannot be.
     """
     compiled, near = kernels(), closest(history.positions[-1]) if near is None else near
     if compiled is None:
-        return outlook_plainly(history, standing, floors, learnt, horizons, near)
+        return outlook_reference(history, standing, floors, learnt, horizons, near)
     return _outlook_by(compiled, history, standing, floors, learnt, horizons, near)
 
 
@@ -116,7 +116,7 @@ def _outlook_by(
     return found
 
 
-def outlook_plainly(
+def outlook_reference(
     history: History,
     standing: Standing,
     floors: Float64,
@@ -130,7 +130,7 @@ def outlook_plainly(
     pooled = around.body(standing.squared.T).T
     shares = mix((1 - _POOLED) * standing.squared + _POOLED * pooled)
     weights = weighed(shares, standing.trust, standing.alone)
-    found = led_plainly(Guides(history, features, floors), learnt, weights, horizons)
+    found = led_reference(Guides(history, features, floors), learnt, weights, horizons)
     return Outlook(features, shares, found, _cues_of(found.single[:, -1], found.mixed[-1], standing.errors, around))
 
 

@@ -28,18 +28,18 @@ def own_space(grid: Grid, arm: ArmModel, joints: JointSample) -> Bits:
 def within(grid: Grid, ends: Float64, radii: Float64) -> Bits:
     """Voxels whose middles lie in a capsule: ends [C, 2, 3] and radii [C] in metres.
 
-    Compiled; `within_plainly` where that cannot be.
+    Compiled; `within_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return within_plainly(grid, ends, radii)
+        return within_reference(grid, ends, radii)
     arrays = [np.ascontiguousarray(array, np.float64) for array in (grid.origin, ends, radii)]
     taken = Bits.none(grid.dims)
     compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses_of(*arrays, taken.words)))
     return taken
 
 
-def within_plainly(grid: Grid, ends: Float64, radii: Float64) -> Bits:
+def within_reference(grid: Grid, ends: Float64, radii: Float64) -> Bits:
     """What `within` does."""
     taken = np.zeros(grid.dims, np.bool_)
     for own, radius in zip(ends, radii, strict=True):

@@ -63,11 +63,11 @@ class Parts:
 def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     """Parts of the voxels `indices` [n], `likely` [n] occupied: one per occupied cell of a coarser lattice.
 
-    Compiled; `split_plainly` where that cannot be.
+    Compiled; `split_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return split_plainly(grid, indices, likely)
+        return split_reference(grid, indices, likely)
     side, voxels = _side(grid), np.ascontiguousarray(indices)
     places, labels, count = (
         np.empty((3, len(indices)), np.int32),
@@ -81,7 +81,7 @@ def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     return Parts(indices, places, labels, likely, _middles(grid, sums[:, :3], sums[:, 3:]))
 
 
-def split_plainly(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
+def split_reference(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     """What `split` does."""
     side = _side(grid)
     lattice = tuple(-(-n // side) for n in grid.dims)

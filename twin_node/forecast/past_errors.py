@@ -87,17 +87,17 @@ class Past(NamedTuple):
 def bin_of(past: Past, slopes: Float64, share: float) -> int:
     """Number of the bin at whose end a `share` of the errors is held; `slopes` [C] tell what is expected of them.
 
-    Compiled; `bin_of_plainly` where that cannot be.
+    Compiled; `bin_of_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return bin_of_plainly(past, slopes, share)
+        return bin_of_reference(past, slopes, share)
     sizes, limits = (len(past.logs), _BINS, len(slopes)), (_LOG_RANGE[0], _BIN, past.fresh, share, _SLACK)
     given = (past.cues, past.logs, past.weights, np.ascontiguousarray(slopes))  # alive until the call is over
     return compiled.find_quantile(QuantileRequest(*sizes, *limits, *addresses_of(*given)))
 
 
-def bin_of_plainly(past: Past, slopes: Float64, share: float) -> int:
+def bin_of_reference(past: Past, slopes: Float64, share: float) -> int:
     """What `bin_of` does."""
     logs = past.logs - past.cues @ slopes
     bins = np.clip(((logs - _LOG_RANGE[0]) / _BIN).astype(np.int64), 0, _BINS - 1)

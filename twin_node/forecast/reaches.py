@@ -68,11 +68,11 @@ _SOON_S = 0.11
 def reaches(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
     """[H, M] radii (m) about where the nodes are led; `factor` multiplies what is calibrated.
 
-    Compiled; `reaches_plainly` where that cannot be.
+    Compiled; `reaches_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return reaches_plainly(known, bound, factor, span)
+        return reaches_reference(known, bound, factor, span)
     return _reaches_by(compiled, known, bound, factor, span)
 
 
@@ -94,7 +94,7 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
     return radii
 
 
-def reaches_plainly(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
+def reaches_reference(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
     """What `reaches` does."""
     horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
     ages, largest = known.now - known.began, bound.parameters.largest_radius

@@ -111,11 +111,11 @@ class Reckoned:
 def reckon(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:
     """What became of forecasts whose time has come, one after the other, on the paths as they are known now.
 
-    Changes the ledger. Compiled; `reckon_plainly` where that cannot be.
+    Changes the ledger. Compiled; `reckon_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return reckon_plainly(due, history, ledger, manner)
+        return reckon_reference(due, history, ledger, manner)
     return _reckon_by(compiled, due, history, ledger, manner)
 
 
@@ -157,7 +157,7 @@ def _asked(due: Due) -> DueForecast:
     return DueForecast(len(issued.radii), knot, address_of(issued.rows), *issued.addresses, *times)
 
 
-def reckon_plainly(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:
+def reckon_reference(due: Sequence[Due], history: History, ledger: Ledger, manner: Manner) -> list[Reckoned]:
     """What `reckon` does."""
     found = []
     for one in due:

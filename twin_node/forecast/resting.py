@@ -102,18 +102,18 @@ class Memory:
 def rested(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
     """What `Resting.update` finds; the memory is brought up to date.
 
-    Compiled; `rested_plainly` where that cannot be.
+    Compiled; `rested_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return rested_plainly(memory, stamp, moving, standing)
+        return rested_reference(memory, stamp, moving, standing)
     count, places = np.empty(1, np.int64), np.ascontiguousarray(moving, np.int64)
     arrays = (places, np.ascontiguousarray(standing.words), memory.moved_at, memory.moved.words, memory.room, count)
     compiled.rest(RestRequest(*standing.dims, len(places), stamp, stamp - _RESTING_NS, *addresses_of(*arrays)))
     return memory.room[: count[0]].copy()
 
 
-def rested_plainly(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
+def rested_reference(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
     """What `rested` does."""
     started = moving[~standing.holds(moving)]
     memory.moved_at[started] = stamp

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.agreement import Sighting
 from twin_node.forecast.blobs import FLIGHT, FOUND, SAME_AREA
-from twin_node.forecast.image_motion import ALIKE_GREY, Image, Pair, Shifts, shifts_plainly
+from twin_node.forecast.image_motion import ALIKE_GREY, Image, Pair, Shifts, shifts_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.part_requests import SeenImage, ShowRequest, TellRequest
 from twin_node.forecast.parts import PART_SIZE
@@ -48,11 +48,11 @@ class Visible:
 def visible(moving: Sequence[Bool], tables: Sequence[CameraTable], sample: Sample) -> list[Visible]:
     """Those voxels of a sample that are nearest to each camera, where its mask shows something moving.
 
-    Compiled; `visible_plainly` where that cannot be.
+    Compiled; `visible_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return [visible_plainly(*one, sample) for one in zip(moving, tables, strict=True)]
+        return [visible_reference(*one, sample) for one in zip(moving, tables, strict=True)]
     voxels, parts = len(sample.places), len(sample.centers)
     places, labels, centers = (np.ascontiguousarray(array) for array in (sample.places, sample.labels, sample.centers))
     pixels, mine = np.empty((2, len(tables), voxels), np.int64)
@@ -71,7 +71,7 @@ def visible(moving: Sequence[Bool], tables: Sequence[CameraTable], sample: Sampl
     return [Visible(pixels[row, :end], mine[row, :end], jacobians[row]) for row, end in enumerate(ends)]
 
 
-def visible_plainly(moving: Bool, table: CameraTable, sample: Sample) -> Visible:
+def visible_reference(moving: Bool, table: CameraTable, sample: Sample) -> Visible:
     """What `visible` does."""
     seen = table.at(sample.places)
     inside = seen.pixels < table.outside
@@ -110,12 +110,12 @@ class Witness:
 def told(witnesses: Sequence[Witness]) -> list[Sighting]:
     """What two images of each view show of the parts, by the mean over their pixels.
 
-    What moves in a pixel counts for more than what stands still beside it. Compiled; `told_plainly` where that cannot
+    What moves in a pixel counts for more than what stands still beside it. Compiled; `told_reference` where that cannot
     be.
     """
     compiled = kernels()
     if compiled is None:
-        return [told_plainly(witness) for witness in witnesses]
+        return [told_reference(witness) for witness in witnesses]
     found = [_room(witness) for witness in witnesses]
     compiled.tell([_told_by(*one) for one in zip(witnesses, found, strict=True)], thread_count())
     return found
@@ -149,10 +149,10 @@ def _request(image: Image, with_depth: bool) -> SeenImage:
     return SeenImage(*addresses_of(image.grey, image.moving, image.blobs.labels, compact, depth), len(compact))
 
 
-def told_plainly(witness: Witness) -> Sighting:
+def told_reference(witness: Witness) -> Sighting:
     """What `told` does with one view."""
     pair, seen, axis = witness.pair, witness.visible, witness.axis
-    shifts, count = shifts_plainly(pair), len(seen.jacobian)
+    shifts, count = shifts_reference(pair), len(seen.jacobian)
     pixels, labels = seen.pixels, seen.labels
     found = shifts.found.ravel()[pixels]
     moved = shifts.pixels.reshape(-1, 2)[pixels]

@@ -78,10 +78,10 @@ class Look:
 
 
 def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sight]:
-    """What each look says. Compiled; `sight_plainly` where that cannot be."""
+    """What each look says. Compiled; `sight_reference` where that cannot be."""
     compiled = kernels.kernels()
     if compiled is None:
-        return [sight_plainly(look, parameters) for look in looks]
+        return [sight_reference(look, parameters) for look in looks]
     given = (kernel_requests.LookView * len(looks))()
     sights = [_room(look) for look in looks]
     held = [_arrays(look, sight) for look, sight in zip(looks, sights, strict=True)]  # alive until the call is over
@@ -116,7 +116,7 @@ def _arrays(look: Look, sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
     )
 
 
-def sight_plainly(look: Look, parameters: CarvingParameters) -> Sight:
+def sight_reference(look: Look, parameters: CarvingParameters) -> Sight:
     """What `sights_of` does with one look."""
     view, moving, robot, error_pixels = look.view, look.moving, look.robot, look.error_pixels
     seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid

@@ -84,11 +84,11 @@ class StaticSpace:
 def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
     """Sets the voxels in a flat mask [grid.size] that hold what a view with depth measures in `where` [H, W].
 
-    Compiled; `mark_plainly` where that cannot be.
+    Compiled; `mark_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        mark_plainly(grid, marked, view, where)
+        mark_reference(grid, marked, view, where)
         return
     assert view.depth is not None
     height, width = view.depth.shape
@@ -106,7 +106,7 @@ def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
     compiled.mark(MarkRequest(*sizes, *addresses_of(*arrays)))
 
 
-def mark_plainly(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
+def mark_reference(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
     """What `mark` does."""
     found = grid.indices(unproject(view, where))
     marked[found[found >= 0]] = True

@@ -149,10 +149,10 @@ class Gathered:
 
 
 def gather(parts: Parts) -> Gathered:
-    """The things that parts are of. Compiled; `gather_plainly` where that cannot be."""
+    """The things that parts are of. Compiled; `gather_reference` where that cannot be."""
     compiled = kernels()
     if compiled is None:
-        return gather_plainly(parts)
+        return gather_reference(parts)
     labels, extents = np.empty(parts.count, np.int64), np.empty((parts.count, 13), np.int64)
     given = tuple(np.ascontiguousarray(array) for array in (parts.places, parts.labels, parts.likely, parts.centers))
     count = np.empty(1, np.int64)
@@ -162,7 +162,7 @@ def gather(parts: Parts) -> Gathered:
     return Gathered(labels, extents[:, 0], *(extents[:, first : first + 3] for first in (1, 4, 7, 10)))
 
 
-def gather_plainly(parts: Parts) -> Gathered:
+def gather_reference(parts: Parts) -> Gathered:
     """What `gather` does."""
     things = _things(parts)
     likely = things[parts.labels[parts.likely]]
@@ -180,7 +180,7 @@ def _things(parts: Parts) -> NDArray[np.int64]:
     labels = np.full(parts.count, -1, np.int64)
     if len(solid) == 0:
         return labels
-    labels[solid] = pieces_of_plainly(parts.centers[solid])
+    labels[solid] = pieces_of_reference(parts.centers[solid])
     for rim in np.setdiff1d(np.arange(parts.count), solid):
         squares = ((parts.centers[solid] - parts.centers[rim]) ** 2).sum(axis=1)
         nearest = squares.argmin()
@@ -191,17 +191,17 @@ def _things(parts: Parts) -> NDArray[np.int64]:
 def pieces_of(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     """[M] piece that each of M parts is of, in the order of their first ones, by their middles [M, 3] (m).
 
-    Neighbours, no further apart than `reach`, hang together. Compiled; `pieces_of_plainly` where that cannot be.
+    Neighbours, no further apart than `reach`, hang together. Compiled; `pieces_of_reference` where that cannot be.
     """
     compiled = kernels()
     if compiled is None:
-        return pieces_of_plainly(centers, reach)
+        return pieces_of_reference(centers, reach)
     pieces, middles = np.empty(len(centers), np.int64), np.ascontiguousarray(centers, np.float64)
     compiled.link(LinkRequest(len(centers), reach, *addresses_of(middles, pieces)))
     return pieces
 
 
-def pieces_of_plainly(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
+def pieces_of_reference(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     """What `pieces_of` does."""
     from scipy.sparse import coo_array  # loads slowly, and kernels do without
     from scipy.sparse.csgraph import connected_components

@@ -74,10 +74,10 @@ class Carved:
 
 
 def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
-    """What the sights say of all voxels. Compiled; `carved_plainly` where that cannot be."""
+    """What the sights say of all voxels. Compiled; `carved_reference` where that cannot be."""
     compiled = kernels.kernels()
     if compiled is None:
-        return carved_plainly(blocks, sights)
+        return carved_reference(blocks, sights)
     given = (kernel_requests.Sight * len(sights))()
     held = [_arrays(sight) for sight in sights]  # alive until the call is over
     for row, (sight, arrays) in enumerate(zip(sights, held, strict=True)):
@@ -102,14 +102,14 @@ def _arrays(sight: Sight) -> tuple[NDArray[np.generic] | None, ...]:
     )
 
 
-def carved_plainly(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
+def carved_reference(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     """What `carved` does."""
-    verdicts, dims = verdicts_plainly(blocks, sights), blocks.grid.dims
+    verdicts, dims = verdicts_reference(blocks, sights), blocks.grid.dims
     masks = (verdicts >= MAY_MOVE, verdicts == LIKELY_MOVES, verdicts == UNKNOWN, verdicts == ON_ARM)
     return Carved(*(Bits.of_mask(dims, mask) for mask in masks))
 
 
-def verdicts_plainly(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
+def verdicts_reference(blocks: Blocks, sights: Sequence[Sight]) -> UInt8:
     """[grid.size] verdicts on all voxels, view by view."""
     left = blocks.places(np.arange(blocks.count))
     for sight in sights:

@@ -97,14 +97,14 @@ def nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
     """[n] the row of `own` [m, d] nearest to each of `places` [n, d] that is within 1 of it; -1 without one."""
     library = kernels()
     if library is None:
-        return nearest_plainly(places, own)
+        return nearest_reference(places, own)
     at, columns = np.ascontiguousarray(places), np.ascontiguousarray(own.T)
     found = np.empty(len(at), np.int64)
     library.nearest(NearestRequest(len(at), *own.shape, *addresses_of(at, columns, found)))
     return found
 
 
-def nearest_plainly(places: Float64, own: Float64) -> NDArray[np.int64]:
+def nearest_reference(places: Float64, own: Float64) -> NDArray[np.int64]:
     """The same by a tree: the reference of the compiled kernel."""
     if not len(places):
         return np.zeros(0, np.int64)
@@ -134,13 +134,13 @@ def grouped(places: Float64) -> NDArray[np.int64]:
     """[n] numbers of groups, in order: of the first of `places` [n, d] in none, and of all in none within 1 of it."""
     library = kernels()
     if library is None:
-        return grouped_plainly(places)
+        return grouped_reference(places)
     at, groups = np.ascontiguousarray(places), np.empty(len(places), np.int64)
     library.group(GroupRequest(*at.shape, *addresses_of(at, groups)))
     return groups
 
 
-def grouped_plainly(places: Float64) -> NDArray[np.int64]:
+def grouped_reference(places: Float64) -> NDArray[np.int64]:
     """The same in NumPy: the reference of the compiled kernel."""
     groups, left, number = np.full(len(places), -1, np.int64), np.arange(len(places)), 0
     while len(left):

@@ -63,7 +63,7 @@ def block_side(pixels: int, room: int) -> int:
     return BLOCK * max(1, round(math.sqrt(BUSY * pixels / max(room, 1)) / BLOCK))
 
 
-def find_births_plainly(
+def find_births_reference(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
     threshold: float,

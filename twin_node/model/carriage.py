@@ -75,7 +75,7 @@ def carry(poses: Poses, carriers: Tensor) -> Carriage:
     """The carriage of Gaussians whose nodes are `carriers` [n]; -1 stands still in `base_link`."""
     library = kernels()
     if library is None or carriers.device.type != "cpu":
-        return carry_plainly(poses, carriers)
+        return carry_reference(poses, carriers)
     times, nodes = poses.positions.shape[:2]
     turns, shifts, products = (torch.empty(times, nodes + 1, *shape) for shape in ((3, 3), (3,), (4, 4)))
     held = (poses.positions.contiguous(), poses.quats.contiguous(), turns, shifts, products)
@@ -83,7 +83,7 @@ def carry(poses: Poses, carriers: Tensor) -> Carriage:
     return Carriage(turns, shifts, products, carriers.remainder(nodes + 1))  # -1 is the row at rest
 
 
-def carry_plainly(poses: Poses, carriers: Tensor) -> Carriage:
+def carry_reference(poses: Poses, carriers: Tensor) -> Carriage:
     """The same in torch, on any device: the reference of the compiled kernel."""
     times = poses.positions.shape[0]
     rest = poses.quats.new_tensor([1.0, 0, 0, 0]).expand(times, 1, 4)

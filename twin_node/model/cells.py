@@ -70,7 +70,7 @@ def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     """The cells of Gaussians `rows` [m], all of which a node carries, at `means` [m, 3] (m) in `base_link`."""
     library, count = kernels(), len(rows)
     if library is None or gaussians.values.device.type != "cpu":
-        return cells_plainly(gaussians, rows, means)
+        return cells_reference(gaussians, rows, means)
     keys, carriers, of = (np.empty(count, np.int64) for _ in range(3))
     centres, rgb, found = np.empty((count, 3)), np.empty((count, 3)), np.empty(1, np.int64)
     given = [t.contiguous() for t in (rows, gaussians.nodes, gaussians.founders, gaussians.values, means.detach())]
@@ -80,7 +80,7 @@ def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     return Cells(keys[:cells], carriers[:cells], keys[:cells] >> 3 * AXIS_BITS, of, centres[:cells], rgb[:cells])
 
 
-def cells_plainly(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
+def cells_reference(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     """The same in NumPy, on any device: the reference of the compiled kernel."""
     carriers, local = gaussians.nodes[rows].cpu().numpy(), gaussians.means[rows].cpu().numpy()
     here = means.cpu().double().numpy()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin_node.model import birth_depths, births
 from twin_node.model.backgrounds import OCCLUSION
 from twin_node.model.birth_depths import BLOCK
-from twin_node.model.births import SOLID, SPREAD, Births, find_births_plainly, joined
+from twin_node.model.births import SOLID, SPREAD, Births, find_births_reference, joined
 from twin_node.model.kernel_requests import BirthRules, BirthView
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
@@ -32,7 +32,7 @@ def find_births(
     """
     library = kernels()
     if library is None:
-        return find_births_plainly(observed, renderings, threshold, parameters, side)
+        return find_births_reference(observed, renderings, threshold, parameters, side)
     quota = parameters.per_set // max(len(observed), 1)
     rules = BirthRules(
         *(threshold, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH, birth_depths.HUGE, birth_depths.REFUTED),

@@ -14,8 +14,8 @@ from twin_node.model.deaths import (
     SEEN_THROUGH,
     Shapes,
     StaticEvidence,
-    judge_static_plainly,
-    refuted_moving_plainly,
+    judge_static_reference,
+    refuted_moving_reference,
 )
 from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedRequest, StaticRequest
 from twin_node.model.kernels import kernels
@@ -34,7 +34,7 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
     """
     library = kernels()
     if library is None:
-        return refuted_moving_plainly(observed, shapes, carried)
+        return refuted_moving_reference(observed, shapes, carried)
     views = _Views(observed, None)
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
     held = (means, np.ascontiguousarray(shapes[0].radii), carried, refuted)
@@ -51,7 +51,7 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
     """
     library = kernels()
     if library is None:
-        return judge_static_plainly(observed, renderings, threshold)
+        return judge_static_reference(observed, renderings, threshold)
     views, count = _Views(observed, renderings), len(observed[0].background.static.rows)
     evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
     counts = (count, len(observed), thread_count())

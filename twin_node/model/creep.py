@@ -37,14 +37,14 @@ class Creep:
         """[c, 3] m the same in the frames of the nodes, whose ids are `homes` [c]."""
         library = kernels()
         if library is None or gaussians.values.device.type != "cpu":
-            return self._crept_plainly(gaussians, rows, cells, homes)
+            return self._crept_reference(gaussians, rows, cells, homes)
         mean, of, at = np.empty((len(cells), 3)), np.ascontiguousarray(cells.of), rows.contiguous()
         arrays = (of, np.ascontiguousarray(homes), self._ids, self._homes, self._means, mean)
         pointers = (*(t.data_ptr() for t in (at, gaussians.ids, gaussians.values)), *addresses_of(*arrays))
         library.creep(CreepRequest(len(of), len(cells), len(self._ids), *pointers))
         return mean
 
-    def _crept_plainly(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:
+    def _crept_reference(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:
         """The same in NumPy, on any device: the reference of the compiled kernel."""
         at, ids = rows.cpu().numpy(), gaussians.ids[rows].cpu().numpy()
         means, homes = gaussians.means[rows].cpu().numpy(), homes[cells.of]

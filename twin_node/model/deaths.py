@@ -30,7 +30,7 @@ class Shapes:
     """[n] m, 1 sigma, mean over the axes."""
 
 
-def refuted_moving_plainly(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
+def refuted_moving_reference(observed: Sequence[Observed], shapes: Sequence[Shapes], carried: Bool) -> Bool:
     """[n] moving Gaussians that some view sees through.
 
     `shapes` holds them for each view. `carried` [n] says which have a node: a view that shows nothing moving where
@@ -76,7 +76,7 @@ class StaticEvidence:
     """[n] every view that should show them shows something that moves there, and two views or more do."""
 
 
-def judge_static_plainly(
+def judge_static_reference(
     observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float
 ) -> StaticEvidence:
     """Which STATIC Gaussians have left their place, and which are part of something that moves.

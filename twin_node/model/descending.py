@@ -67,10 +67,10 @@ def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """`steps` steps, 1 or more, by the fastest way there is."""
     if splat.can_descend(gaussians.values.device):
         return descend_fused(gaussians, path, steps)
-    return descend_plain(gaussians, path, steps)
+    return descend_reference(gaussians, path, steps)
 
 
-def descend_plain(gaussians: Gaussians, path: Path, steps: int) -> Descended:
+def descend_reference(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """Steps in torch, on any device: the reference of the fused ones."""
     descent, carriage, losses = gaussians.descent(path.rows, path.decays), path.carriage, []
     for _ in range(steps):

@@ -30,7 +30,7 @@ def held_pixels(observed: Sequence[Observed], moving: Splats) -> list[Bool]:
     """
     library, means = kernels(), moving.means.cpu().contiguous().numpy()
     if library is None:
-        return held_plainly(observed, means)
+        return held_reference(observed, means)
     masks = [np.empty(one.usable.shape, bool) for one in observed]
     given = [
         (
@@ -47,7 +47,7 @@ def held_pixels(observed: Sequence[Observed], moving: Splats) -> list[Bool]:
     return masks
 
 
-def held_plainly(observed: Sequence[Observed], means: NDArray[np.float32]) -> list[Bool]:
+def held_reference(observed: Sequence[Observed], means: NDArray[np.float32]) -> list[Bool]:
     """The same of means [T, n, 3] m in NumPy: the reference of the compiled kernel."""
     masks = []
     for index, one in enumerate(observed):

@@ -73,9 +73,9 @@ class Step:
         return self._gaussians.standing(self._values)
 
     @cached_property
-    def _missed(self) -> splat.Missed | splat.MissedPlainly:
+    def _missed(self) -> splat.Missed | splat.MissedReference:
         """What the views that were looked through miss of them."""
-        kind = splat.Missed if splat.can_miss(self._values.device) else splat.MissedPlainly
+        kind = splat.Missed if splat.can_miss(self._values.device) else splat.MissedReference
         drawn = self._splats
         return kind(drawn.means[0], drawn.quats[0], drawn.scales, drawn.opacities, drawn.rgb, self._learners)
 
@@ -97,7 +97,7 @@ class Step:
         """Takes the step towards all views that were looked through; what stands no longer takes none."""
         library, g, missed, splats = kernels(), self._gaussians, self._missed, self._splats
         if library is None or g.values.device.type != "cpu":
-            self.take_plainly()
+            self.take_reference()
             return
         refused = torch.zeros(1, dtype=torch.int64)
         drawn = (self._rows, self._learners, self._ids, splats.scales, splats.opacities)
@@ -107,7 +107,7 @@ class Step:
         library.take_damped(DampedRequest(len(self._rows), int(Tier.STATIC), *shares, *pointers))
         g.refused += int(refused)
 
-    def take_plainly(self) -> None:
+    def take_reference(self) -> None:
         """The same in torch, on any device: the reference of the compiled kernel."""
         gaussians, pull = self._gaussians, self._missed.pull
         alive, tiers, ids = (s.index_select(0, self._rows) for s in (gaussians.alive, gaussians.tiers, gaussians.ids))

@@ -77,7 +77,7 @@ def compared(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple
     """
     compiled = kernels()
     if compiled is None:
-        return compared_plain(one, other, reach, shares)
+        return compared_reference(one, other, reach, shares)
     shape, camera = (*one.base.shape, len(shares)), other.camera
     apart, at = np.empty(shape, np.float32), np.empty(shape, np.int32)
     doubles = [
@@ -91,7 +91,7 @@ def compared(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple
     return apart, at
 
 
-def compared_plain(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple[Float32, NDArray[np.int32]]:
+def compared_reference(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple[Float32, NDArray[np.int32]]:
     """`compared` in NumPy."""
     shape = (*one.base.shape, len(shares))
     apart, at = np.empty(shape, np.float32), np.empty(shape, np.int32)

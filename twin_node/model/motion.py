@@ -64,9 +64,9 @@ class Motion:
         if not bends and not torch.is_grad_enabled() and splat.can_place(some.values.device):
             placed = splat.place(some.values, some.carriers, poses.positions, poses.quats)
             return Splats(*vars(placed).values())
-        return self.place_plain(some, poses, stamps)
+        return self.place_reference(some, poses, stamps)
 
-    def place_plain(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
+    def place_reference(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
         """The same in torch, on any device: the reference of the compiled library, with gradients and the field."""
         times, values = len(stamps), some.values
         means, quats = values[:, MEAN].expand(times, -1, -1), values[:, QUAT].expand(times, -1, -1)

@@ -172,13 +172,13 @@ class Nodes:
         """[M, 6] m and rad (in `base_link`) from the poses remembered last, or at birth since, to the present ones."""
         library = kernels()
         if library is None:
-            return self.moved_plainly()
+            return self.moved_reference()
         moved = torch.empty(self.capacity, 6, dtype=torch.float64)
         held = [t.contiguous() for t in (self.positions, self.quats, self._begun_positions, self._begun_quats)]
         library.moved(MovedRequest(self.capacity, *(t.data_ptr() for t in (*held, moved))))
         return moved
 
-    def moved_plainly(self) -> Tensor:
+    def moved_reference(self) -> Tensor:
         """The same in torch: the reference of the compiled kernel."""
         turn = vector_from_quat(quat_product(self.quats, conjugate(self._begun_quats)))
         return torch.cat([self.positions - self._begun_positions, turn], 1)
@@ -222,7 +222,7 @@ def advanced(positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor
     """
     library = kernels()
     if library is None:
-        return advanced_plainly(positions, quats, velocities, turns, seconds)
+        return advanced_reference(positions, quats, velocities, turns, seconds)
     given, times = [t.contiguous() for t in (positions, quats, velocities, turns)], np.array(seconds, np.float64)
     count = positions.shape[0]
     written = [torch.empty(len(seconds), count, width, dtype=torch.float64) for width in (3, 4)]
@@ -231,7 +231,7 @@ def advanced(positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor
     return Poses(*written)
 
 
-def advanced_plainly(
+def advanced_reference(
     positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor, seconds: list[float]
 ) -> Poses:
     """The same in torch: the reference of the compiled kernel."""

@@ -147,7 +147,7 @@ def compare(views: Sequence[Pixels], rules: Comparing) -> list[Compared]:
     """
     library = kernels()
     if library is None:
-        return [compare_plainly(one, rules) for one in views]
+        return [compare_reference(one, rules) for one in views]
     given = ObserveRules(rules.threshold, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first)
     calls = [_Call(one) for one in views]
     library.observe(given, [call.view for call in calls])
@@ -173,7 +173,7 @@ class _Call:
         self.view = ObservedView(one.usable.size, *addresses_of(*arrays))
 
 
-def compare_plainly(one: Pixels, rules: Comparing) -> Compared:
+def compare_reference(one: Pixels, rules: Comparing) -> Compared:
     """The same of one view in NumPy: the reference of the compiled kernel."""
     rgb = np.divide(one.image, np.float32(255), dtype=np.float32)
     difference = largest_channel(rgb, one.background)

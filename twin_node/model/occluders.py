@@ -20,7 +20,7 @@ def occluders(backgrounds: Sequence[Background], moving: NDArray[np.float32]) ->
     """[n] which of the Gaussians that `backgrounds` tell of; `moving` [T, m, 3] m are points that move, per view."""
     library = kernels()
     if library is None:
-        return occluders_plainly(backgrounds, moving)
+        return occluders_reference(backgrounds, moving)
     given: list[list[NDArray[np.generic]]] = [
         [
             *(np.ascontiguousarray(matrix, np.float64) for matrix in (one.camera.viewmat, one.camera.K)),
@@ -37,7 +37,7 @@ def occluders(backgrounds: Sequence[Background], moving: NDArray[np.float32]) ->
     return before
 
 
-def occluders_plainly(backgrounds: Sequence[Background], moving: NDArray[np.float32]) -> Bool:
+def occluders_reference(backgrounds: Sequence[Background], moving: NDArray[np.float32]) -> Bool:
     """The same in NumPy: the reference of the compiled kernel."""
     before = np.zeros(len(backgrounds[0].cells), bool)
     for background, means in zip(backgrounds, moving, strict=True):

@@ -22,7 +22,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
     rows, nodes, library = torch.cat([gaussians.static_rows, gaussians.other_rows]), motion.nodes, kernels()
     if library is None or motion.bends or gaussians.values.device.type != "cpu":
-        return cloud_plainly(gaussians, motion, rows)
+        return cloud_reference(gaussians, motion, rows)
     count = len(rows)
     cloud = GaussianCloud(
         means=np.empty((count, 3), np.float32),
@@ -45,7 +45,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     return cloud
 
 
-def cloud_plainly(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
+def cloud_reference(gaussians: Gaussians, motion: Motion, rows: Tensor) -> GaussianCloud:
     """Gaussians `rows` [n] as a cloud: the reference of the compiled kernel, on any device, and for what bends."""
     carrier = gaussians.nodes[rows].cpu()
     nodes = motion.nodes
@@ -104,7 +104,7 @@ def extents_of(gaussians: Gaussians, nodes: Nodes) -> Extents:
     """Of all nodes."""
     library = kernels()
     if library is None or gaussians.values.device.type != "cpu":
-        return extents_plainly(gaussians, nodes)
+        return extents_reference(gaussians, nodes)
     rows, capacity = gaussians.moving_rows, nodes.capacity
     centroids, weights, radii = (torch.empty(capacity, width, dtype=torch.float64) for width in (3, 1, 1))
     held = (rows, gaussians.nodes, gaussians.values, centroids, weights, radii)
@@ -112,7 +112,7 @@ def extents_of(gaussians: Gaussians, nodes: Nodes) -> Extents:
     return Extents(centroids, radii[:, 0])
 
 
-def extents_plainly(gaussians: Gaussians, nodes: Nodes) -> Extents:
+def extents_reference(gaussians: Gaussians, nodes: Nodes) -> Extents:
     """The same in torch: the reference of the compiled kernel."""
     carried = gaussians.moving_rows
     carrier = gaussians.nodes[carried]

@@ -55,7 +55,7 @@ class Remembered:
         """How bright an image [H, W, 3] shows what stands `still` [H, W], beside what `exposure` makes of that."""
         library = kernels()
         if library is None:
-            return self.ratios_plainly(rgb, still, exposure)
+            return self.ratios_reference(rgb, still, exposure)
         held = [np.ascontiguousarray(array) for array in (rgb, still)]
         given = [np.ascontiguousarray(array, np.float32) for array in (self.samples, exposure.gains, exposure.offsets)]
         found, middle = np.empty(2, np.int64), np.empty(3, np.float32)
@@ -63,7 +63,7 @@ class Remembered:
         library.ratios(RatioRequest(image, DARKEST, SATURATED * QUANTUM, *addresses_of(*given, found, middle)))
         return Ratios(int(found[0]), middle if found[1] >= FEWEST else None)
 
-    def ratios_plainly(self, rgb: UInt8, still: Bool, exposure: Exposure) -> Ratios:
+    def ratios_reference(self, rgb: UInt8, still: Bool, exposure: Exposure) -> Ratios:
         """The same in NumPy: the reference of the compiled kernel."""
         shown, seen = self.beside(rgb, still)
         return Ratios(len(shown), middle_ratios(exposure.of(shown), seen))
@@ -77,13 +77,13 @@ class Remembered:
         """Takes in an image [H, W, 3] that has been levelled."""
         library = kernels()
         if library is None:
-            self.take_plainly(rgb, still)
+            self.take_reference(rgb, still)
             return
         held = [np.ascontiguousarray(array) for array in (rgb, still)]
         image = SampledImage(self.shape[1], self.shape[0], self.stride, *addresses_of(*held))
         library.remember(RestRequest(image, SLACK, UPTAKE, *addresses_of(self.newest, self.samples)))
 
-    def take_plainly(self, rgb: UInt8, still: Bool) -> None:
+    def take_reference(self, rgb: UInt8, still: Bool) -> None:
         """The same in NumPy: the reference of the compiled kernel."""
         cv2.copyTo(rgb, still.astype(np.uint8), self.newest)
         change = QUANTUM * rgb[:: self.stride, :: self.stride] - self.samples

@@ -174,12 +174,12 @@ def put_before(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
     """[C, H, W, 4] `renders` with `alphas` [C, H, W, 1], drawn on nothing, before a `backdrop`; they are used up."""
     library = kernels()
     if library is None or renders.requires_grad or renders.device.type != "cpu":
-        return put_before_plainly(renders, alphas, backdrop)
+        return put_before_reference(renders, alphas, backdrop)
     held = (alphas.contiguous(), backdrop.contiguous(), renders)
     library.put_before(BackdropRequest(alphas.numel(), *(t.data_ptr() for t in held)))
     return renders
 
 
-def put_before_plainly(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
+def put_before_reference(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
     """The same in torch, on any device and with gradients: the reference of the compiled kernel."""
     return renders + (1 - alphas) * backdrop

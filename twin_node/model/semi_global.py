@@ -23,7 +23,7 @@ def smoothed(costs: Float32, image: Float32) -> Float32:
     least.
     """
     compiled = kernels()
-    return smoothed_plain(costs, image) if compiled is None else _smoothed_compiled(compiled, costs, image)
+    return smoothed_reference(costs, image) if compiled is None else _smoothed_compiled(compiled, costs, image)
 
 
 def _smoothed_compiled(compiled: Kernels, costs: Float32, image: Float32) -> Float32:
@@ -34,7 +34,7 @@ def _smoothed_compiled(compiled: Kernels, costs: Float32, image: Float32) -> Flo
     return out
 
 
-def smoothed_plain(costs: Float32, image: Float32) -> Float32:
+def smoothed_reference(costs: Float32, image: Float32) -> Float32:
     """`smoothed` in NumPy."""
     upright = np.ascontiguousarray(costs.transpose(1, 0, 2)), np.ascontiguousarray(image.transpose(1, 0, 2))
     total = _both_ways(costs, image) + _both_ways(*upright).transpose(1, 0, 2)

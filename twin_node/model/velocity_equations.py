@@ -81,13 +81,13 @@ class VelocityEquations:
         """The same with the velocities of the points [n, 3] (m) as unknowns."""
         library = kernels()
         if library is None:
-            return self.about_plainly(points)
+            return self.about_reference(points)
         H, g, at = (np.ascontiguousarray(values, np.float64) for values in (self.H, self.g, points))
         own = VelocityEquations(np.empty_like(H), np.empty_like(g), self.squares, self.counts)
         library.move_velocities(MoveRequest(len(self), *addresses_of(H, g, at, own.H, own.g)))
         return own
 
-    def about_plainly(self, points: Float64) -> VelocityEquations:
+    def about_reference(self, points: Float64) -> VelocityEquations:
         """The same in NumPy: the reference of the compiled kernel."""
         shift = _shift(-points)
         turned = np.swapaxes(shift, 1, 2)
@@ -169,16 +169,16 @@ def judge(said: VelocityEquations, points: Float64) -> Judged:
     """
     library = kernels()
     if library is None:
-        return judge_plainly(said, points)
+        return judge_reference(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (USUAL, said.H, said.g, said.squares, points)]
     judged = Judged(*np.empty((5, len(said))))
     library.judge_velocities(JudgeRequest(len(said), *addresses_of(*given, *vars(judged).values())))
     return judged
 
 
-def judge_plainly(said: VelocityEquations, points: Float64) -> Judged:
+def judge_reference(said: VelocityEquations, points: Float64) -> Judged:
     """The same in NumPy: the reference of the compiled kernel."""
-    own = said.about_plainly(points)
+    own = said.about_reference(points)
     known = np.eye(PARAMETERS) + USUAL[:, None] * own.H * USUAL
     root = np.linalg.inv(np.linalg.cholesky(known))
     explained = np.square(root @ (USUAL * own.g)[..., None]).sum((1, 2))
@@ -213,16 +213,16 @@ def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
     """[n, 6] the most likely velocities of bodies about `points` [n, 3] m: m/s and rad/s."""
     library = kernels()
     if library is None:
-        return velocities_plainly(said, points)
+        return velocities_reference(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (LOOSE, said.H, said.g, points)]
     velocities = np.empty((len(said), PARAMETERS))
     library.solve_velocities(VelocityRequest(len(said), *addresses_of(*given, velocities)))
     return velocities
 
 
-def velocities_plainly(said: VelocityEquations, points: Float64) -> Float64:
+def velocities_reference(said: VelocityEquations, points: Float64) -> Float64:
     """The same in NumPy: the reference of the compiled kernel."""
-    own = said.about_plainly(points)
+    own = said.about_reference(points)
     return np.asarray(np.linalg.solve(own.H + np.diag(1 / LOOSE**2), own.g[..., None])[..., 0], np.float64)
 
 

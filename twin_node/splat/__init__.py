@@ -2,14 +2,14 @@
 
 from twin_node.splat.arguments import RasterMeta
 from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended, Learners, can_descend, descend
-from twin_node.splat.dispatch import rasterize, rasterize_plain
+from twin_node.splat.dispatch import rasterize, rasterize_reference
 from twin_node.splat.errors import SplatError
 from twin_node.splat.first_calls import settle
-from twin_node.splat.loss import image_loss, image_loss_plain
-from twin_node.splat.missed import Missed, MissedPlainly, Pull, Sight, Tolerance, can_miss
+from twin_node.splat.loss import image_loss, image_loss_reference
+from twin_node.splat.missed import Missed, MissedReference, Pull, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
-from twin_node.splat.still import Shot, draw_still, draw_still_plainly
-from twin_node.splat.weighing import weigh, weigh_plainly
+from twin_node.splat.still import Shot, draw_still, draw_still_reference
+from twin_node.splat.weighing import weigh, weigh_reference
 
 __all__ = [
     "Aims",
@@ -19,7 +19,7 @@ __all__ = [
     "Descended",
     "Learners",
     "Missed",
-    "MissedPlainly",
+    "MissedReference",
     "Placed",
     "Pull",
     "RasterMeta",
@@ -32,14 +32,14 @@ __all__ = [
     "can_place",
     "descend",
     "draw_still",
-    "draw_still_plainly",
+    "draw_still_reference",
     "image_loss",
-    "image_loss_plain",
+    "image_loss_reference",
     "place",
     "rasterize",
-    "rasterize_plain",
+    "rasterize_reference",
     "weigh",
-    "weigh_plainly",
+    "weigh_reference",
 ]
 
 settle()

@@ -1,4 +1,4 @@
-"""The two public functions: `rasterize`, on whatever device the tensors live, and `rasterize_plain`."""
+"""The two public functions: `rasterize`, on whatever device the tensors live, and `rasterize_reference`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from twin_node.splat.arguments import (
 )
 from twin_node.splat.cpu import render_native
 from twin_node.splat.cuda import render_gsplat
-from twin_node.splat.plain import render_plain
+from twin_node.splat.reference import render_reference
 
 
 def rasterize(
@@ -70,7 +70,7 @@ def rasterize(
     return rendered.renders, rendered.alphas, rendered.meta
 
 
-def rasterize_plain(
+def rasterize_reference(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,
@@ -100,19 +100,19 @@ def rasterize_plain(
     options = Options(near_plane, far_plane, radius_clip, eps2d, sh_degree, render_mode, rasterize_mode)
     scene = check_shapes(gaussians, views, options)
     check_finite(scene)
-    rendered = render_plain(scene)
+    rendered = render_reference(scene)
     return rendered.renders, rendered.alphas, rendered.meta
 
 
 def _render(scene: Scene) -> Rendered:
     dtype = scene.gaussians.means.dtype
     if dtype != torch.float32:
-        raise ValueError(f"means: expected float32 (rasterize_plain takes float64 too), found {dtype}")
+        raise ValueError(f"means: expected float32 (rasterize_reference takes float64 too), found {dtype}")
     if scene.gaussians.means.is_cuda:
         check_finite(scene)
         return render_gsplat(scene)
     library = native.kernels()
     if library is None or scene.gaussians.means.device.type != "cpu":
         check_finite(scene)
-        return render_plain(scene)
+        return render_reference(scene)
     return render_native(scene, library)

@@ -65,12 +65,12 @@ def image_loss(
     call = _check(render, target, weights, depth, target_depth, l1, ssim, depth_weight)
     library = native.kernels() if call.render.device.type == "cpu" else None
     if library is None or call.render.dtype != torch.float32:
-        return _plain(call)
+        return _reference(call)
     loss: Tensor = _FusedLoss.apply(call.render, call, library)  # type: ignore[no-untyped-call]
     return loss
 
 
-def image_loss_plain(
+def image_loss_reference(
     render: Tensor,
     target: Tensor,
     *,
@@ -82,7 +82,7 @@ def image_loss_plain(
     depth_weight: float = 0.0,
 ) -> Tensor:
     """`image_loss` in plain torch, float32 or float64, on any device: the reference of the tests."""
-    return _plain(_check(render, target, weights, depth, target_depth, l1, ssim, depth_weight))
+    return _reference(_check(render, target, weights, depth, target_depth, l1, ssim, depth_weight))
 
 
 def _check(
@@ -179,7 +179,7 @@ class _FusedLoss(torch.autograd.Function):
         return gradient * gradients[0], None, None
 
 
-def _plain(call: _Loss) -> Tensor:
+def _reference(call: _Loss) -> Tensor:
     require_finite({name: getattr(call, name) for name in ("render", "target", "weights", "target_depth")})
     weights = torch.ones_like(call.target[..., 0]) if call.weights is None else call.weights.clamp_min(0)
     color = torch.where(weights[..., None] > 0, call.render[..., :3], call.target)

@@ -190,7 +190,7 @@ def can_miss(device: torch.device) -> bool:
     return device.type == "cpu" and native.kernels() is not None
 
 
-class MissedPlainly:
+class MissedReference:
     """The same by `rasterize` and its gradient, on any device: the reference of `Missed`."""
 
     def __init__(

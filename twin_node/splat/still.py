@@ -48,7 +48,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     """
     library = native.kernels()
     if library is None or shot.means.device.type != "cpu":
-        return draw_still_plainly(shot)
+        return draw_still_reference(shot)
     tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
     given = [of.detach().float().contiguous() for of in tensors.values()]
     count, width, height = len(shot.means), shot.width, shot.height
@@ -80,7 +80,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     return rgbd, alpha
 
 
-def draw_still_plainly(shot: Shot) -> tuple[Tensor, Tensor]:
+def draw_still_reference(shot: Shot) -> tuple[Tensor, Tensor]:
     """The same by `rasterize`, on any device: the reference of `draw_still`."""
     if not len(shot.means):
         return shot.means.new_zeros(shot.height, shot.width, 4), shot.means.new_zeros(shot.height, shot.width)

@@ -29,7 +29,7 @@ def weigh(
     """
     library = native.kernels()
     if library is None or means.device.type != "cpu":
-        return weigh_plainly(means, quats, scales, opacities, viewmat, K, width, height)
+        return weigh_reference(means, quats, scales, opacities, viewmat, K, width, height)
     given = [t.detach().float().contiguous() for t in (means, quats, scales, opacities, viewmat, K)]
     count = len(means)
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (4, 4), (3, 3))
@@ -62,7 +62,7 @@ _NAMES = ("means", "quats", "scales", "opacities", "viewmat", "K")
 _FIELDS = (*_NAMES[:4], "viewmats", "Ks")
 
 
-def weigh_plainly(
+def weigh_reference(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,

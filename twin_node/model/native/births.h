@@ -1,4 +1,4 @@
-// New Gaussians where a rendering does not explain an image: `find_births_plainly` in one go.
+// New Gaussians where a rendering does not explain an image: `find_births_reference` in one go.
 #pragma once
 
 #include <vector>

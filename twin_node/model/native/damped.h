@@ -1,4 +1,4 @@
-// A damped step of Gaussians that stand towards what views miss: `least_squares.Step.take_plainly` in one go, to the bit.
+// A damped step of Gaussians that stand towards what views miss: `least_squares.Step.take_reference` in one go, to the bit.
 #pragma once
 
 #include <algorithm>

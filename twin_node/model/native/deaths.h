@@ -1,4 +1,4 @@
-// Which Gaussians the images refute: `deaths.refuted_moving_plainly` and `judge_static_plainly` in one go.
+// Which Gaussians the images refute: `deaths.refuted_moving_reference` and `judge_static_reference` in one go.
 #pragma once
 
 #include <algorithm>

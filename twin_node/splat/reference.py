@@ -48,7 +48,7 @@ class Projected:
     """[N, 2] pixels beyond which alpha is under the threshold."""
 
 
-def render_plain(scene: Scene, semantics: Semantics | None = None) -> Rendered:
+def render_reference(scene: Scene, semantics: Semantics | None = None) -> Rendered:
     """Renders all images of a call, one after the other."""
     semantics = semantics or installed_semantics()
     images = [

@@ -9,8 +9,8 @@ import torch
 from splat_scenes import INPUTS, differentiate, make_case
 from torch import Tensor
 
-from twin_node.splat import rasterize_plain
-from twin_node.splat.plain import harmonics
+from twin_node.splat import rasterize_reference
+from twin_node.splat.reference import harmonics
 
 
 def one_gaussian(**options: object) -> tuple[Tensor, Tensor]:
@@ -24,7 +24,7 @@ def one_gaussian(**options: object) -> tuple[Tensor, Tensor]:
         "viewmats": torch.eye(4)[None],
         "Ks": torch.tensor([[[10.0, 0, 4.5], [0, 10.0, 3.5], [0, 0, 1]]]),
     }
-    renders, alphas, _ = rasterize_plain(*(t.double() for t in tensors.values()), 9, 7, **options)
+    renders, alphas, _ = rasterize_reference(*(t.double() for t in tensors.values()), 9, 7, **options)
     return renders[0], alphas[0]
 
 
@@ -61,7 +61,7 @@ def test_the_nearer_gaussian_hides_the_farther_one():
         colors=torch.tensor([[1.0, 0, 0], [0.0, 1, 0]]),
         viewmats=torch.eye(4)[None],
     )
-    renders, _, meta = case.to(torch.float64).render(rasterize_plain)
+    renders, _, meta = case.to(torch.float64).render(rasterize_reference)
     middle = renders[0, 16, 24]
     assert middle[1] > 0.998
     assert middle[0] < 0.001
@@ -84,7 +84,7 @@ def test_gradients_are_the_numeric_ones(options):
     names = [name for name in INPUTS if name != "colors" or "RGB" in case.options["render_mode"]]
 
     def outputs(*tensors: Tensor) -> tuple[Tensor, Tensor]:
-        renders, alphas, _ = replace(case, **dict(zip(names, tensors, strict=True))).render(rasterize_plain)
+        renders, alphas, _ = replace(case, **dict(zip(names, tensors, strict=True))).render(rasterize_reference)
         return renders, alphas
 
     leaves = [getattr(case, name).clone().requires_grad_() for name in names]
@@ -95,13 +95,15 @@ def test_gradients_do_not_depend_on_what_is_culled():
     case = make_case(count=60, cameras=1, rasterize_mode="antialiased").to(torch.float64)
     behind = case.means.clone()
     behind[:20] = 50.0
-    result = differentiate(rasterize_plain, replace(case, means=behind, scales=case.scales * torch.tensor([1, 1, 0.0])))
+    result = differentiate(
+        rasterize_reference, replace(case, means=behind, scales=case.scales * torch.tensor([1, 1, 0.0]))
+    )
     assert all(bool(torch.isfinite(gradient).all()) for gradient in result.gradients.values())
 
 
 def test_where_nothing_is_drawn_gradients_are_zero():
     case = make_case(count=10, cameras=1).to(torch.float64)
-    result = differentiate(rasterize_plain, replace(case, means=case.means - torch.tensor([0.0, 0.0, 1e3])))
+    result = differentiate(rasterize_reference, replace(case, means=case.means - torch.tensor([0.0, 0.0, 1e3])))
     assert all(not gradient.any() for gradient in result.gradients.values())
 
 
@@ -116,7 +118,7 @@ def test_harmonics_and_projection_agree_with_gsplats_torch_code():
     radii, means2d, depths, _, _ = reference._fully_fused_projection(
         case.means, covariances, case.viewmats, case.Ks, case.width, case.height
     )
-    _, _, meta = case.render(rasterize_plain)
+    _, _, meta = case.render(rasterize_reference)
     both = (radii > 0).all(-1) & (meta.radii > 0).all(-1)
     assert int(both.sum()) > 500
     torch.testing.assert_close(meta.means2d[both], means2d[both], rtol=1e-4, atol=1e-3)
