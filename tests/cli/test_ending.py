@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,16 @@ import pytest
 from twin_node import cli
 from twin_node.bag import LogWriter
 from twin_node.cli import view
-from twin_node.cli.ending import Terminated, ended_in_order
+from twin_node.cli.ending import SIGNALS, Terminated, ended_in_order
+
+
+@pytest.fixture(autouse=True)
+def unhandled() -> Iterator[None]:
+    """The tests themselves may run under `nohup`, which has them ignore one."""
+    before = [signal.signal(number, signal.SIG_DFL) for number in SIGNALS]
+    yield
+    for number, handler in zip(SIGNALS, before, strict=True):
+        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
