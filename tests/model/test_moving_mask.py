@@ -119,6 +119,7 @@ def test_rough_ground_that_one_thing_after_another_has_passed_is_nearly_free() -
     rng = np.random.default_rng(2)
     ground = cv2.GaussianBlur(rng.uniform(40, 200, (HEIGHT, WIDTH, 3)).astype(np.float32), (0, 0), 1.5)
     colours = rng.uniform(60, 180, (HEIGHT, WIDTH, 3))
+    depth = np.full((HEIGHT, WIDTH), 2, np.float32)  # things are flat: it tells none of them
     mask, sets = MovingMask(), 0
     passed = np.zeros((HEIGHT, WIDTH), np.bool_)
     passed[30:50] = True
@@ -127,11 +128,29 @@ def test_rough_ground_that_one_thing_after_another_has_passed_is_nearly_free() -
             limbs = box(left) & ~box(left + 6, 36, 8) | box(left + 24, size=9) | box(left + 24, 41, 9)
             image = np.where(limbs[..., None], colours, ground)
             noisy = image + np.random.default_rng(sets).normal(0, 1.5, image.shape)
-            view = View(CAMERA, sets * STEP_NS, np.clip(noisy, 0, 255).astype(np.uint8))
+            view = View(CAMERA, sets * STEP_NS, np.clip(noisy, 0, 255).astype(np.uint8), depth)
             found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
             assert not 10 < left < 100 or share(found, limbs) > 0.95
             sets += 1
         assert share(found, passed) < 0.1
+
+
+@pytest.mark.parametrize("has_depth", [False, True])
+def test_who_wears_the_colour_of_ground_that_another_left_is_held_where_no_depth_would_tell(has_depth: bool) -> None:
+    """Five of six columns of who comes second look like the ground, which the first one has shown to be ground."""
+    ground, depth = np.full((HEIGHT, WIDTH, 3), 100.0), np.full((HEIGHT, WIDTH), 2, np.float32)
+    first = [box(left, 25, 34) for left in (*range(-30, WIDTH, 4), *(8 * (WIDTH,)))]
+    second = [box(left, 30, 24) for left in range(20, 100, 4)]
+    mask, shares = MovingMask(), []
+    for tick, shape in enumerate([*first, *second]):
+        worn = (np.arange(WIDTH) - int(shape.argmax() % WIDTH)) % 6 < (5 if tick >= len(first) else 0)
+        image = np.where((shape & ~worn)[..., None], (230, 60, 30), ground)
+        noisy = image + np.random.default_rng(tick).normal(0, 1.5, ground.shape)
+        view = View(CAMERA, tick * STEP_NS, noisy.astype(np.uint8), depth if has_depth else None)
+        found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+        if tick >= len(first) + 5:
+            shares.append(share(found, shape))
+    assert (min(shares) > 0.97) == (not has_depth)
 
 
 def test_an_even_thing_that_rocks_where_it_was_from_the_start_is_held(scene: Scene) -> None:

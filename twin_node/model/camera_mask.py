@@ -43,7 +43,7 @@ class MovingMaskParameters:
     what the background held there does: textured ground that a thing, there from the start, has moved off."""
     ground_around: float = 0.85
     """A settled pixel that looks like a background which may show the moving thing itself is ground if so large a share
-    of the 5 x 5 pixels around it surely is: alone among ground it would hold its neighbours as well."""
+    of the 5 x 5 pixels around it surely is, and its depth is known: alone among ground it would hold its neighbours."""
     growth_pixels: int = 3
     """Rings of uncovered ground found per image; each ring is two pixels wide."""
     learning_rate: float = 0.05
@@ -87,10 +87,13 @@ class CameraMask:
         like_ground = difference < 0.5 * threshold
         mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        self.trusted &= ~(mask & ~self.mask & ~self.confirmed & like_ground & ~self._come(view, in_front))
+        told = self.depth > 0  # elsewhere nothing else would notice somebody of the ground's colours
+        freed = self.confirmed & told
+        self.trusted &= ~(mask & ~self.mask & ~freed & like_ground & ~self._come(view, in_front))
         object_ = self.confirmed & self.trusted & (difference > threshold)
         settled &= mask & ~in_front
-        among_ground = settled & ~self.trusted & like_ground & self._surrounded(seen & self.trusted & like_ground)
+        among_ground = settled & ~self.trusted & like_ground & told
+        among_ground &= self._surrounded(seen & self.trusted & like_ground)
         uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered

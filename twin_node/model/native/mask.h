@@ -247,11 +247,12 @@ class MaskUpdate {
   }
 
   // The background may show the very thing where one begins to be seen that looks like it, unless it is known to be
-  // ground since another one left it, or what is seen there has just come.
+  // ground since another one left it, or what is seen there has just come. Where no depth is known nothing else would
+  // notice that it is a thing: there the former does not count.
   void doubt(const Mask &mask) const {
     const Mask come = come_in_front();
     for (int64_t at = 0; at < pixels_; at++) {
-      const bool begins = mask[at] && !r_.mask[at] && !r_.confirmed[at];
+      const bool begins = mask[at] && !r_.mask[at] && !(r_.confirmed[at] && r_.depth[at] > 0);
       if (begins && like_ground(at) && !(in_front_[at] && come[at])) r_.trusted[at] = 0;
     }
   }
@@ -302,9 +303,9 @@ class MaskUpdate {
     return rough < kAlike * threshold_ || fits || share > p_.ground_certainty;
   }
 
-  // Whether a background that is doubted is seen, and nearly all pixels around it show one that is not.
+  // Whether a background that is doubted is seen, its depth known, and nearly all pixels around show one that is not.
   bool is_among_ground(int64_t at) const {
-    if (r_.trusted[at] || !like_ground(at)) return false;
+    if (r_.trusted[at] || !like_ground(at) || !(r_.depth[at] > 0)) return false;
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     int ground = 0, all = 0;
     for (int y = std::max(row - kAround, 0); y <= std::min(row + kAround, r_.height - 1); y++) {
