@@ -235,3 +235,14 @@ def test_a_region_that_is_none_is_refused(wrong: dict[str, Any], words: str) -> 
     with pytest.raises(TwinError, match=words):
         parameters = fill(ArmParameters, {"model": "ur5e", "allowed": [box]}, "arm")
         make_arm_node(LocalBus(), SteppedClock(START), WORKSPACE, parameters)
+
+
+def test_what_a_file_says_of_all_nodes_is_said_of_the_chains_too(tmp_path: Path) -> None:
+    """`/**` went past them in silence: another arm was judged than the file names."""
+    file = tmp_path / "shared.yaml"
+    file.write_text("/**: {ros__parameters: {model: ur5e, max_rate_hz: 12.0, use_sim_time: true}}\n")
+    found = load_parameters(file)
+    assert found.arm.model == "ur5e"
+    assert found.synchronizer.max_rate_hz == 12
+    file.write_text(file.read_text() + "arm: {ros__parameters: {model: ur3e}}\n")
+    assert load_parameters(file).arm.model == "ur3e", "a node's own section counts"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, get_type_hints
 
 from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters
@@ -56,12 +58,24 @@ def load_parameters(path: Path | None) -> ChainParameters:
     Raises `ParameterError` for a key that does not exist, with the nearest one, and `GraphError` for such a section.
     """
     path = resources.find(path or DEFAULT_PARAMETERS)
-    given = read_parameters(path)
-    sections = {name: given.pop(name) for name in CHAIN_SECTIONS if name in given}
-    for name, values in given.items():
-        if name != EVERY_NODE:
+    sections = read_parameters(path)
+    for name, values in sections.items():
+        if name not in (EVERY_NODE, *CHAIN_SECTIONS):
             check_section(name, values, str(path))
-    return sized(fill(ChainParameters, sections, str(path)), str(path))
+    return chain_parameters(sections, str(path))
+
+
+def chain_parameters(sections: Mapping[str, Mapping[str, Any]], where: str) -> ChainParameters:
+    """The parameters that a file's sections give the chain's nodes, at the size that they name.
+
+    What `/**` says is every node's that has such a key, unless its own section says otherwise.
+    Raises `ParameterError`, naming `where`, for a key that does not exist, with the nearest one.
+    """
+    shared, given = sections.get(EVERY_NODE, {}), {}
+    for name, kind in get_type_hints(ChainParameters).items():
+        known = {f.name for f in dataclasses.fields(kind)}
+        given[name] = {**{key: value for key, value in shared.items() if key in known}, **sections.get(name, {})}
+    return sized(fill(ChainParameters, given, where), where)
 
 
 def sized(parameters: ChainParameters, where: str) -> ChainParameters:

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.nodes.calibration import load_base_rig
-from twin_node.nodes.chain_parameters import ChainParameters, sized
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
+from twin_node.nodes.chain_parameters import chain_parameters
 from twin_node.nodes.live.player import PlayParameters
 from twin_node.nodes.live.recorder import RecordParameters
 from twin_node.nodes.live.rig_source import RigParameters
@@ -29,7 +28,6 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
     recorder = fill(RecordParameters, sections.get("recorder", {}), f"{where}: recorder")
     _refuse(recorder, ("all", "split"), f"{where}: recorder")
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
-    chain = {name: sections[name] for name in CHAIN_SECTIONS if name in sections}
     output = recorder.output
     if output and Path(output).resolve() == Path(player.log).resolve():
         raise GraphError(f"{where}: recorder: output: expected another file than the log that is played, {output}")
@@ -49,7 +47,7 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
 
     with session:
         _check_recorded(recorder.topics, {*RECORDED, *session.topics.values()}, where)
-        parameters = sized(fill(ChainParameters, chain, where), where)
+        parameters = chain_parameters(sections, where)
         to, topics = Path(output) if output else None, recorder.topics
         with replay(session, parameters, rate=None, output=to, progress=check, recorded=topics) as run:
             print(f"{player.log}: {run.sets} sets in lockstep, in {run.seconds:.1f} s", flush=True)

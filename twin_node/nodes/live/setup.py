@@ -59,8 +59,6 @@ class Setup:
 
     def chain_parameters(self) -> ChainParameters:
         """The parameters of the chain's nodes."""
-        from twin_node.nodes.chain_parameters import ChainParameters, sized  # much to load where no node of it runs
+        from twin_node.nodes.chain_parameters import chain_parameters  # much to load where no node of it runs
 
-        known = [f.name for f in dataclasses.fields(ChainParameters)]
-        given = {name: self.sections[name] for name in known if name in self.sections}
-        return sized(fill(ChainParameters, given, self.where), self.where)
+        return chain_parameters(self.sections, self.where)
