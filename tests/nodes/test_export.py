@@ -26,8 +26,9 @@ from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, st
 from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import ExportError, ExportSpan, LogSource, Moment, export
 from twin_node.nodes.export.clouds import write_spz
-from twin_node.nodes.playback import Playback, in_force
+from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
+from twin_node.nodes.snapshot import in_force
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
 from twin_node.robot import ArmModel, ur_model
 from twin_node.scene import Camera, GaussianCloud, View

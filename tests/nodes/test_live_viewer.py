@@ -17,7 +17,7 @@ from twin_node.messages import convert
 from twin_node.nodes.live.graph_cameras import GraphCameras
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.viewer import make_viewer
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, TF_STATIC, kind_of
 from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
 from twin_node.robot import ur_model

@@ -16,7 +16,8 @@ from twin_logs import PERIOD, START, cloud_at, obstacles_at
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
 from twin_node.messages import convert
-from twin_node.nodes.playback import Playback, Snapshot
+from twin_node.nodes.playback import Playback
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import OBSTACLES
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.nodes.viewer.live import Heard

@@ -21,8 +21,9 @@ from twin_logs import MOMENTS, PERIOD, START, obstacles_at
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
 from twin_node.geometry import quat_from_rotation
-from twin_node.nodes.playback import Playback, Snapshot
+from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import GAUSSIANS
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.robot import ur_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from twin_node.messages import Message, convert
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import SEPARATION
 from twin_node.nodes.viewer.panel import arm_text
 from twin_node.scene import Separation

@@ -15,7 +15,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.viewer_send import SendCost, cost, middle_of
 from twin_node.bench.visitors import BYTES_PER_SPLAT, PATIENCE_S, brings_gaussians, connect_to, free_port, visiting
 from twin_node.messages import convert
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING
 from twin_node.nodes.viewer import CellPage
 from twin_node.nodes.viewer.live import Heard

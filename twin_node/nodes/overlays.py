@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, UInt8
 

@@ -1,204 +1,23 @@
-"""Logs of one run, read as one: what had been said on every topic by any time."""
+"""Logs of one run, read as one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
-
-import numpy as np
 
 from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.bag.latched import newest_before
-from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.renaming import Renamed, of_log, renamed
-from twin_node.nodes.topics import (
-    GAUSSIANS,
-    GAUSSIANS_MOVING,
-    JOINT_STATES,
-    OBSTACLES,
-    OCCUPANCY,
-    RECORDED,
-    SEPARATION,
-    STATUS,
-    TF_STATIC,
-    TRAJECTORY,
-    CameraTopics,
-    GraphError,
-    find_cameras,
-)
-from twin_node.rig import DecodedImage, FrameAssembler
-from twin_node.scene import (
-    Camera,
-    FrameSet,
-    GaussianCloud,
-    JointPath,
-    JointSample,
-    Obstacles,
-    Occupancy,
-    Separation,
-    Tier,
-)
+from twin_node.nodes.snapshot import Snapshot
+from twin_node.nodes.topics import JOINT_STATES, RECORDED, TF_STATIC, CameraTopics, GraphError, find_cameras
+from twin_node.rig import FrameAssembler
+from twin_node.scene import Camera
 
 LONGEST_STEP_NS = 2_000_000_000
 """A step forward in time that is no longer is read through; after a longer one each topic's newest is looked for."""
-SILENT_S = 2.5
-"""Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
-JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
-"""How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-
-
-class Said(Protocol):
-    """A message and when it was said."""
-
-    @property
-    def stamp(self) -> int:
-        """ns."""
-
-    @property
-    def message(self) -> Message:
-        """As it was published."""
-
-
-Earlier = Callable[[str, int], Sequence[Said]]
-"""What was said on a topic in so many ns before a time, and at it, oldest first."""
-
-
-JointsBegin = Callable[[frozenset[str]], int | None]
-"""When a sample with all of some joints first comes, ns; None: never, or nobody can tell yet."""
-
-
-def _nothing(_topic: str, _ns: int) -> Sequence[Said]:
-    return ()
-
-
-def _never(_names: frozenset[str]) -> int | None:
-    return None
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
-
-    stamp: int
-    """Log time, ns."""
-    said: Mapping[str, Said]
-    """The newest message of each topic."""
-    cameras: Mapping[str, CameraTopics]
-    assembler: FrameAssembler | None
-    earlier: Earlier = _nothing
-    joints_begin: JointsBegin = _never
-
-    @cached_property
-    def cloud(self) -> GaussianCloud | None:
-        """All Gaussians: those that stand from the last whole cloud, those that move from the newest."""
-        whole, moving = self.said.get(GAUSSIANS), self.said.get(GAUSSIANS_MOVING)
-        clouds = [convert.gaussians_from_pointcloud2(said.message) for said in (whole, moving) if said is not None]
-        if whole is None or moving is None or header_stamp(moving.message) <= header_stamp(whole.message):
-            return clouds[0] if clouds else None
-        standing, moved = clouds
-        return standing.only((standing.tiers == Tier.STATIC) & ~np.isin(standing.ids, moved.ids)).joined(moved)
-
-    @cached_property
-    def whole_stamp(self) -> int | None:
-        """Evidence stamp of the last whole cloud, ns: while it stays no STATIC Gaussians come, though some may move."""
-        said = self.said.get(GAUSSIANS)
-        return None if said is None else header_stamp(said.message)
-
-    @cached_property
-    def occupancy(self) -> Occupancy | None:
-        """The newest forecast of occupied space."""
-        said = self.said.get(OCCUPANCY)
-        return None if said is None else convert.occupancy_from_message(said.message)
-
-    @property
-    def foreseen(self) -> Occupancy | None:
-        """The newest forecast while it lasts: after its last horizon nobody says any more what moves where."""
-        newest = self.occupancy
-        if newest is None or not newest.layers:
-            return None
-        return newest if self.stamp <= newest.publish_stamp + newest.layers[-1].horizon_ns else None
-
-    @cached_property
-    def obstacles(self) -> Obstacles | None:
-        """The newest obstacles, of every interval of their validity."""
-        said = self.said.get(OBSTACLES)
-        return None if said is None else convert.obstacles_from_message(said.message)
-
-    @cached_property
-    def separation(self) -> Separation | None:
-        """The newest decision about the arm's speed."""
-        said = self.said.get(SEPARATION)
-        return None if said is None else convert.separation_from_message(said.message)
-
-    @cached_property
-    def status(self) -> convert.Status | None:
-        """The newest word of the twin about itself."""
-        said = self.said.get(STATUS)
-        return None if said is None else convert.status_from_message(said.message)
-
-    @cached_property
-    def joints(self) -> JointSample | None:
-        """The newest joints: an arm's, a gripper's or an axis'; see `joints_of`."""
-        said = self.said.get(JOINT_STATES)
-        return None if said is None else convert.joint_sample_from_message(said.message)
-
-    def joints_of(self, names: Collection[str]) -> JointSample | None:
-        """The newest joints among which are all of `names`: a gripper's come on the same topic as the arm's.
-
-        None before the first. Where they never come, or none have come of late to who cannot look further back, the
-        newest of all, whose names tell what came instead.
-        """
-        newest, wanted = self.joints, frozenset(names)
-        if newest is None or wanted.issubset(newest.names):
-            return newest
-        begin = self.joints_begin(wanted)
-        if begin is not None and begin > self.stamp:
-            return None
-        for reach in JOINTS_REACHES_NS if begin is None else (*JOINTS_REACHES_NS, self.stamp - begin):
-            for said in reversed(self.earlier(JOINT_STATES, reach)):
-                sample = convert.joint_sample_from_message(said.message)
-                if wanted.issubset(sample.names):
-                    return sample
-        return newest
-
-    @cached_property
-    def path(self) -> JointPath | None:
-        """Where the arm means to be, while that lasts: a path that has not begun or is over tells nothing of it.
-
-        Nor does one without points, by which ROS's trajectory controllers are told to stay where they are.
-        """
-        said = self.said.get(TRAJECTORY)
-        if said is None or not len(said.message.points):
-            return None
-        path = convert.joint_path_from_message(said.message, said.stamp)
-        return path if path.stamps[0] <= self.stamp <= path.stamps[-1] else None
-
-    def silent_s(self, topics: Sequence[str]) -> float:
-        """For how long nothing was said on any of some topics, s; 0 where nothing ever was."""
-        stamps = [self.said[topic].stamp for topic in topics if topic in self.said]
-        return (self.stamp - max(stamps)) / 1e9 if stamps else 0.0
-
-    def camera_silent_s(self, camera: str) -> float:
-        """For how long the camera has sent no image, s; 0 where it never sent one."""
-        return self.silent_s((self.cameras[camera].image,))
-
-    @cached_property
-    def frames(self) -> FrameSet | None:
-        """The newest image of every camera, undistorted."""
-        if self.assembler is None:
-            return None
-        images = {}
-        for name, topics in self.cameras.items():
-            said = self.said.get(topics.image)
-            if said is not None:
-                stamp = header_stamp(said.message)
-                images[name] = DecodedImage(stamp, convert.rgb_from_message(said.message), None)
-        return self.assembler.assemble(images) if images else None
 
 
 class Playback:
@@ -375,33 +194,3 @@ def _holders(logs: Sequence[LogReader], names: Sequence[Renamed]) -> Mapping[str
     counts = [{topic.name: topic.count for topic in log.topics} for log in logs]
     told = [(topic, place) for place, known in enumerate(names) for topic in known.types]
     return dict(sorted(told, key=lambda of: counts[of[1]][names[of[1]].original(of[0])] > 0))
-
-
-def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
-    """The obstacles whose validity holds `stamp` (ns), or the first of it where all begin later; none of none.
-
-    A forecast begins when it can be acted on: in lockstep that is the assumed latency after its log time.
-    """
-    if obstacles is None or not len(obstacles.ids):
-        return _NO_OBSTACLES
-    at = max(stamp, obstacles.begins)
-    chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
-    columns: dict[str, Any] = {
-        name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"
-    }
-    return Obstacles(stamp=obstacles.stamp, **columns)
-
-
-_NO_OBSTACLES = Obstacles(
-    0,
-    np.empty(0, np.uint32),
-    np.empty(0, np.uint8),
-    np.empty(0, np.uint8),
-    np.empty((0, 3)),
-    np.empty((0, 4)),
-    np.empty((0, 3)),
-    np.empty((0, 3)),
-    np.empty(0),
-    np.empty(0, np.int64),
-    np.empty(0, np.int64),
-)

@@ -13,7 +13,7 @@ from twin_node.model.ply import StoredGaussians, cloud_from_stored
 from twin_node.model.sequence import load_checkpoint
 from twin_node.model.sequence.sequence_model import MovedGaussians
 from twin_node.nodes.export.moments import ExportError, Moment
-from twin_node.nodes.playback import in_force
+from twin_node.nodes.snapshot import in_force
 from twin_node.nodes.topics import GAUSSIANS
 from twin_node.robot import ArmModel
 from twin_node.scene import GaussianCloud, Tier

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from twin_node.errors import TwinError
-from twin_node.nodes.playback import Playback, Snapshot, in_force
+from twin_node.nodes.playback import Playback
+from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.robot import ArmModel
 from twin_node.scene import Float32, Float64, GaussianCloud, Obstacles
 

@@ -11,9 +11,10 @@ import numpy as np
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
 from twin_node.nodes.overlays import arm_mask, moving_mask
-from twin_node.nodes.playback import SILENT_S, Playback, Snapshot, in_force
+from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
+from twin_node.nodes.snapshot import SILENT_S, Snapshot, in_force
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Camera, Float32, ObstacleKind, UInt8, View

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, project, rotation_from_quat
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.scene import Bool, Camera, Float64, Obstacles, Tier, UInt8
 
 TURN_S = 12.0

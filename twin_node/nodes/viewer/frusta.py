@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.geometry import quat_from_rotation
 from twin_node.nodes.overlays import ARM_COLOUR, MOVING_COLOUR, arm_mask, moving_mask, tinted
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.robot import ArmModel
 from twin_node.scene import Camera, UInt8, View
 

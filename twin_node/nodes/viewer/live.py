@@ -11,7 +11,7 @@ from functools import cached_property, partial
 
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
-from twin_node.nodes.playback import Said, Snapshot
+from twin_node.nodes.snapshot import Said, Snapshot
 from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY, CameraTopics
 from twin_node.nodes.viewer.page import CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN

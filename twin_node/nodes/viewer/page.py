@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from twin_node.errors import TwinError
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.viewer.frusta import Frusta
 from twin_node.nodes.viewer.panel import arm_text, plain, twin_text
 from twin_node.nodes.viewer.picked import PickedThing

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 from twin_node.messages.convert import Status
-from twin_node.nodes.playback import SILENT_S, Snapshot
+from twin_node.nodes.snapshot import SILENT_S, Snapshot
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
 from twin_node.scene import Separation, Tier
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.messages import convert
-from twin_node.nodes.playback import Said, Snapshot, in_force
+from twin_node.nodes.snapshot import Said, Snapshot, in_force
 from twin_node.nodes.topics import GAUSSIANS_MOVING, OBSTACLES
 from twin_node.nodes.viewer.picking import Pick
 from twin_node.scene import Float64, GaussianCloud, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Tier

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import rotation_from_quat
-from twin_node.nodes.playback import Snapshot, in_force
+from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.scene import Float64, GaussianCloud, ObstacleKind, Obstacles, ObstacleShape
 
 SOLID = 0.2

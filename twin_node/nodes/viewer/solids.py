@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.arm.path import sample_path
 from twin_node.geometry import quat_from_rotation
-from twin_node.nodes.playback import Snapshot, in_force
+from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, JointSample, ObstacleKind, Obstacles, ObstacleShape
 

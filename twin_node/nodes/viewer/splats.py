@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import rotation_from_quat
-from twin_node.nodes.playback import Snapshot
+from twin_node.nodes.snapshot import Snapshot
 from twin_node.scene import Float64, GaussianCloud, Tier
 
 SENT_SCALE = 10.0
