@@ -72,9 +72,13 @@ def test_compiled_as_reference(count: int, knots: tuple[int, ...], turns: bool) 
 
 
 def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Records]:
-    """A node that was forecast to go 0.2 m along x, and went so many times as far."""
+    """A node that was forecast to go 0.2 m along x, and went so many times as far.
+
+    All experts but that of constant velocity had it stand.
+    """
     places = np.zeros((len(EXPERT_NAMES), len(KNOTS), 1, 3))
     mixed = np.array(KNOTS)[:, None, None] * np.array([0.2, 0.0, 0.0])
+    places[EXPERT_NAMES.index("constant_velocity")] = mixed
     waiting = Issued(
         0.5,
         HORIZON_S,
@@ -122,3 +126,11 @@ def test_what_turns_back_is_told_and_is_right_where_that_was_held() -> None:
     assert unasked.turned[0] == -np.inf
     assert np.isclose(free.wrong[0], 0.3)
     assert np.isclose(held.wrong[0], 0)
+
+
+def test_what_no_expert_foresaw_tells_nothing_of_whom_to_believe() -> None:
+    _, unforeseen = straight(2.0, turns=True, turning=False)
+    _, foreseen = straight(1.5, turns=True, turning=False)
+    assert np.all(unforeseen.squared == 0)
+    assert np.all(foreseen.squared > 0)
+    assert np.argmin(foreseen.squared) == EXPERT_NAMES.index("constant_velocity")

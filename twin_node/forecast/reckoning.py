@@ -181,8 +181,9 @@ def _reckoned(due: Due, history: History, ledger: Ledger, manner: Manner) -> Rec
     if len(wrong):
         kept = np.exp(-due.elapsed_s / manner.memory_s)
         profile[knot] = kept * profile[knot] + (1 - kept) * wrong.mean()
-    single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1)
-    records.weigh(known, single / KNOTS[knot], due.elapsed_s)
+    single = np.linalg.norm(issued.places[:, knot, rows] - moved, axis=-1) / KNOTS[knot]
+    foreseen = single.min(axis=0) <= issued.radii[rows]
+    records.weigh(known[foreseen], single[:, foreseen], due.elapsed_s)
     expected = issued.radii[rows] * profile[knot] / profile[-1]
     known_s = issued.time - np.maximum(records.began, records.turned)[known]
     knew, grown = known_s >= 0, known_s >= _GROWN * issued.horizon_s

@@ -60,7 +60,9 @@ class Records:
     def weigh(self, known: Rows, single: Float64, elapsed_s: float) -> None:
         """Enters errors of the experts [E, n] in metres, as if at the horizon, for the nodes `known` [n].
 
-        Errors at all knots count: the earlier ones tell sooner which expert is right after motion has changed.
+        Errors at all knots count: the earlier ones tell sooner which expert is right after motion has changed. Those of
+        what no expert foresaw (within the bound then) are not to be entered: each errs by chance there, and by so much
+        that one which was merely unlucky would not be believed for a second.
         """
         rate = 1 - np.exp(-elapsed_s / RECORD_S)
         self.squared[:, known] += rate * (single**2 - self.squared[:, known])

@@ -102,11 +102,17 @@ class Reckoning {
     }
   }
 
-  // Enters the errors of the experts in the record of a node.
+  // Enters the errors of the experts, as if at the horizon, in the record of a node, unless none of them foresaw it.
   void weigh(int64_t node, int64_t row, const Vector &moved) const {
-    for (int64_t expert = 0; expert < r_.experts; expert++) {
+    const auto error_of = [&](int64_t expert) {
       const double *place = d_.places + 3 * ((expert * r_.knots + d_.knot) * d_.before + row);
-      const double error = (Vector::at(place) - moved).length() / d_.knot_share;
+      return (Vector::at(place) - moved).length() / d_.knot_share;
+    };
+    double least = error_of(0);
+    for (int64_t expert = 1; expert < r_.experts; expert++) least = std::min(least, error_of(expert));
+    if (least > d_.radii[row]) return;
+    for (int64_t expert = 0; expert < r_.experts; expert++) {
+      const double error = error_of(expert);
       double &square = r_.squared[expert * r_.nodes + node];
       square += rate_ * (error * error - square);
     }
