@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +34,7 @@ def briefly_fitted() -> ChainParameters:
 
 def test_the_chain_answers_after_its_latency(scenario: Scenario) -> None:
     run = run_twin(CellCase(scenario, 33.0, LoopParameters()), width=96, pace=Pace.of(50.0))
+    assert gc.get_freeze_count() == 0, "a chain that has not been stopped is never freed: 100 MB a run"
     assert run.timing.sets >= 3
     assert run.timing.dropped + run.timing.sets <= 12
     assert run.timing.latencies_ms[1:] == pytest.approx(50.0, abs=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,9 @@ def drifting(count: int) -> Length:
 
 @pytest.fixture(scope="module")
 def short() -> Length:
-    return run(SHORT, seed_steps=5)
+    found = run(SHORT, seed_steps=5)
+    assert gc.get_freeze_count() == 0, "a chain that has not been stopped is never freed: 100 MB a run"
+    return found
 
 
 def test_every_set_is_worked_on_and_forecast(short: Length) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -270,6 +271,11 @@ def suite() -> Stability:
     """One hard and one easy failure, as small as can be."""
     small = replace(QUICK, names=("undisturbed", "dead_camera"), seconds=1.5, most_levels=1, processes=1)
     return run(small)
+
+
+def test_a_run_leaves_nothing_frozen(suite: Stability) -> None:
+    assert suite.failures
+    assert gc.get_freeze_count() == 0, "a chain that has not been stopped is never freed: 100 MB a run"
 
 
 def test_the_suite_tells_of_every_method(suite: Stability) -> None:

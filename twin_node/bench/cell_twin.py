@@ -73,7 +73,10 @@ def run_twin(case: CellCase, width: int, pace: Pace | None, by_sight: bool = Fal
     seen = TwinPerception(case, parameters, pace)
     known = BySight(seen) if by_sight else seen
     checker = ArmCollisionChecker(case.arm.model, allowed=(taught_region(case),))
-    record = case.run_with(known, case.parameters.separation.human_speed, checker)
+    try:
+        record = case.run_with(known, case.parameters.separation.human_speed, checker)
+    finally:
+        seen.stop()
     first = seen.first_seen_ns
     first_seen_s = np.inf if first is None else (first - case.scenario.start_ns) * 1e-9
     return TwinRun(record, seen.timing, float(first_seen_s))
@@ -185,6 +188,10 @@ class TwinPerception:
         self._working.subscribe(OBSTACLES, self._on_obstacles)
         self.first_seen_ns: int | None = None
         """When some camera first saw somebody, ns; None as long as none has."""
+
+    def stop(self) -> None:
+        """Ends the chain, without which nothing of it is ever freed."""
+        self._chain.stop()
 
     def look(self, program: RunningProgram) -> Obstacles | None:
         """Takes the images that are due, and gives the obstacles that have become known since the last look."""

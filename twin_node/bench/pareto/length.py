@@ -171,13 +171,16 @@ def _spans(parameters: LengthParameters, seed_steps: int) -> Iterator[Span]:
     followed = _Followed(scenario, parameters, seed_steps)
     whole, per_span = parameters.sets, _sets_per_span(parameters)
     laps: list[float] = []
-    for index, frames in enumerate(_endless(sets)):
-        if index == whole:
-            break
-        laps.append(followed.follow(frames))
-        if len(laps) == per_span or index == whole - 1:
-            yield followed.told(laps, (index + 1) / parameters.rate_hz)
-            laps = []
+    try:
+        for index, frames in enumerate(_endless(sets)):
+            if index == whole:
+                break
+            laps.append(followed.follow(frames))
+            if len(laps) == per_span or index == whole - 1:
+                yield followed.told(laps, (index + 1) / parameters.rate_hz)
+                laps = []
+    finally:
+        followed.stop()
 
 
 def _endless(sets: Sequence[FrameSet]) -> Iterator[FrameSet]:
@@ -207,6 +210,10 @@ class _Followed:
         self._bus.publish(FRAMES, frames)
         self._chain.model_node.rest()
         return 1e3 * (time.process_time() - started)
+
+    def stop(self) -> None:
+        """Ends the chain, without which nothing of it is ever freed."""
+        self._chain.stop()
 
     def told(self, laps: Sequence[float], until_s: float) -> Span:
         """The span that has just ended."""

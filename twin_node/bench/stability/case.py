@@ -76,12 +76,15 @@ def run_case(case: Case) -> CaseResult:
     stage = Stage(replace(scenario, sensing=sensing), case.stride)
     twin = _Followed(stage, case.chain)
     sets = 0
-    for shot in stage:
-        sets += 1
-        rng = np.random.default_rng([case.seed, shot.frames.sequence])
-        frames = failure.perturb(shot, case.level, rng)
-        if frames is not None:
-            twin.follow(shot, frames)
+    try:
+        for shot in stage:
+            sets += 1
+            rng = np.random.default_rng([case.seed, shot.frames.sequence])
+            frames = failure.perturb(shot, case.level, rng)
+            if frames is not None:
+                twin.follow(shot, frames)
+    finally:
+        twin.stop()
     return CaseResult(
         case.failure, case.level, case.seed, twin.outcomes(), twin.shape(), twin.answers / max(sets, 1), twin.warnings
     )
@@ -136,6 +139,10 @@ class _Followed:
         self._score(shot, self._state, self._forecast.occupancy, bool(shared), bool(own))
         self._isometry.add(self._state.stamp, self._state.gaussians)
         self._pictures.add(shot, self._state, self._chain.model_node.model.render_frozen)
+
+    def stop(self) -> None:
+        """Ends the chain, without which nothing of it is ever freed."""
+        self._chain.stop()
 
     def outcomes(self) -> dict[str, Outcome]:
         """What every method made of it."""
