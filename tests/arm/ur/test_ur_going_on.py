@@ -101,6 +101,25 @@ def test_play_is_not_pressed_where_the_program_runs() -> None:
     assert bench.link.plays == 0
 
 
+@pytest.mark.parametrize("has_ended", [False, True])
+def test_play_is_not_pressed_for_a_program_that_somebody_paused_before_the_halt(has_ended: bool) -> None:
+    bench = Bench(plays=True, resumes=True)
+    bench.run(320)
+    if not has_ended:
+        bench.link.tell(runtime_state=4)
+        bench.run(200)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    if has_ended:
+        bench.link.tell(runtime_state=1)
+        bench.run(100)
+        bench.link.tell(runtime_state=4)  # of another one that was begun meanwhile
+    report = bench.run(1500)
+    assert (report.state, bench.link.plays) == (DriverState.READY, 0)
+    assert report.reason == "clear; but the robot's program is paused; press play"
+
+
 def test_a_safety_stop_during_another_halt_does_not_resume_either() -> None:
     bench = Bench(resumes=True)
     bench.run(320)

@@ -50,6 +50,8 @@ class UrDriver:
         self._told: Separation | None = None
         self._halt = halt
         self._well_since: int | None = None
+        self._was_playing = False
+        """Whether the robot's program ran when all was last well."""
         self._sample: UrSample | None = None
         self._sample_stamp = 0
         self._slider = Slider(link) if self._mode is DriverMode.SLIDER else None
@@ -142,6 +144,7 @@ class UrDriver:
         if self._mode is DriverMode.READ_ONLY:
             self._halt = None if problem is None else Halt(problem)
             return
+        self._watch_program(is_well=problem is None)
         if problem is not None:
             self._well_since = None
             is_worse = self._halt is not None and not self._halt.is_safety and not self._may_move
@@ -157,10 +160,20 @@ class UrDriver:
         try:
             self._acknowledge(now)
         except ArmError as error:
-            self._halt, self._well_since = Halt(str(error)), None
+            self._stop_for(str(error))
+            self._well_since = None
+
+    def _watch_program(self, is_well: bool) -> None:
+        """Keep in mind whether a halt interrupts the robot's program: of another one, or an ended one, it does not."""
+        if self._halt is None:
+            if is_well and self._sample is not None:
+                self._was_playing = self._sample.is_playing
+        elif self._sample is not None and self._sample.has_ended:
+            self._halt = replace(self._halt, interrupts=False)
 
     def _stop_for(self, reason: str) -> None:
-        self._halt = Halt(reason, is_safety=not self._may_move)
+        interrupts = self._was_playing if self._halt is None else self._halt.interrupts
+        self._halt = Halt(reason, is_safety=not self._may_move, interrupts=interrupts)
 
     @property
     def _may_move(self) -> bool:
@@ -210,8 +223,8 @@ class UrDriver:
             )
         if self._mode is DriverMode.SERVO:
             self._link.prepare_servo()
-        elif self._parameters.plays and self._sample is not None and self._sample.is_paused:
-            self._link.play()
+        elif self._parameters.plays and self._halt.interrupts and self._sample is not None and self._sample.is_paused:
+            self._link.play()  # only what the halt has paused: whoever paused it before may be beside the arm
         self._follower = None
         self._limiter = SpeedLimiter(self._parameters.limiter)
         self._heard = None

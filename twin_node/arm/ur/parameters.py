@@ -64,8 +64,8 @@ class UrParameters:
     resumes: bool = False
     """Go on by itself when the cause of a halt is over; what the safety system stopped always waits."""
     plays: bool = False
-    """Slider mode: press play on the dashboard when a halt is over and has left the robot's program paused; needs
-    remote control. False: somebody presses it on the pendant."""
+    """Slider mode: press play on the dashboard when a halt is over that has left the robot's program paused, if it ran
+    until then; needs remote control. False: somebody presses it on the pendant."""
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for values that no controller accepts."""

@@ -28,6 +28,8 @@ class Halt:
     reason: str
     is_safety: bool = False
     """Whether the controller's safety system had stopped the arm: only somebody who has looked may go on."""
+    interrupts: bool = False
+    """Whether the robot's program ran until then: it is the halt that pauses it, and nobody who wanted it to stand."""
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,8 @@ class SupervisedDriver:
         how = process.end(hangs=not self._closing.is_set())
         was_connected = self._latest.state in _CONNECTED
         if self._latest.state is DriverState.READY:
-            self._halt = Halt(reason or how)
+            sample = self._latest.sample
+            self._halt = Halt(reason or how, interrupts=sample is not None and sample.is_playing)
         self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
         return was_connected
 
