@@ -210,6 +210,47 @@ def test_an_arm_with_a_gripper_is_told_how_to_name_its_joints(tmp_path: Path) ->
         arm_model("ur5e", joint_names=("shoulder",))
 
 
+RAIL = """<mujoco><worldbody><body name="carriage"><joint name="rail" type="slide" axis="1 0 0"/><geom size=".05"/>
+  <body name="a"><joint name="pan" axis="0 0 1"/><geom size=".05"/>
+    <body name="b" pos="0 0 .3"><joint name="shoulder" axis="0 1 0"/><geom size=".05"/>
+      <body name="c" pos="0 0 .3"><joint name="elbow" axis="0 1 0"/><geom size=".05"/>
+</body></body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("joints", "besides"), [("pan shoulder elbow", "rail"), ("rail pan elbow", "shoulder"), ("pan elbow", "rail")]
+)
+def test_an_arm_that_a_joint_carries_which_nobody_follows_is_refused(tmp_path: Path, joints: str, besides: str) -> None:
+    """The arm would be looked for at the rail's zero, wherever on it the arm works."""
+    path = tmp_path / "rail.xml"
+    path.write_text(RAIL.replace('type="slide"', "") if "rail" in joints else RAIL)
+    with pytest.raises(RobotError, match=rf"found {besides} besides, which nobody would follow"):
+        arm_model(path, joint_names=joints.split())
+
+
+MIXED = """<mujoco><default><default class="seen"><geom contype="0" conaffinity="0"/></default></default>
+<worldbody><body name="a"><geom class="seen" size=".3"/>
+  <body name="b"><joint name="pan" axis="0 0 1"/>{}
+    <body name="c" pos="0 0 .3"><joint name="elbow" axis="0 1 0"/><geom size=".05"/><geom class="seen" size=".4"/>
+      <body name="d"><geom class="seen" size=".07"/></body>
+</body></body></body></worldbody></mujoco>"""
+
+
+def test_a_body_of_which_only_visuals_are_given_is_as_large_as_they_are(tmp_path: Path) -> None:
+    """Only fingers take part in contacts in many a model: the arm behind them was without capsules."""
+    path = tmp_path / "mixed.xml"
+    path.write_text(MIXED.format('<geom class="seen" type="capsule" size=".06" fromto="0 0 0 0 0 .3"/>'))
+    capsules = arm_model(path).capsules
+    assert (capsules.links.tolist(), capsules.radii.tolist()) == ([1, 2, 2], [0.06, 0.05, 0.07])
+
+
+def test_a_long_link_without_a_shape_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bare.xml"
+    path.write_text(MIXED.format('<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'))
+    with pytest.raises(RobotError, match=r"bare\.xml: expected shapes of link b, 0\.30 m long, found none"):
+        arm_model(path)
+
+
 def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
     assert arm_model("ur5e").name == "ur5e"
     assert arm_model("sim/ur3e.xml").joint_names == ur_model("ur3e").joint_names

@@ -24,6 +24,8 @@ _MAX_VELOCITY = 15.0
 _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 _CAPSULES_PER_MESH = 2
+_BARE_M = 0.1
+"""A link as long as this, m, has a shape."""
 _ROUND_POINTS = 24
 """Corners drawn around a cylinder before a capsule is fitted."""
 
@@ -66,9 +68,10 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     """Serial arm from an MJCF or URDF file; meshes and other shapes become the capsules that enclose them.
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
-    gripper's): those stay where the file puts them. Geoms that take part in no contact (visuals) are left out unless
-    the arm has no others; MuJoCo reads none from a URDF. Raises `RobotError` for a file that MuJoCo does not read, for
-    joints that are no chain of hinges, and for an arm without shapes: nothing would ever be near it.
+    gripper's): those stay where the file puts them, so none may carry one of the arm's. Geoms that take part in no
+    contact (visuals) are left out of a moving body that has others; MuJoCo reads none from a URDF. Raises `RobotError`
+    for a file that MuJoCo does not read, for joints that are no chain of hinges or hang on others, and for an arm, or a
+    long link of it, without shapes: nothing would ever be near it.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -91,11 +94,14 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
         capsules = _enclose(engine, data, bodies, frames)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from None
+    link_names = tuple(engine.body(int(body)).name or f"link_{k}" for k, body in enumerate([base, *bodies]))
+    origins = inverse_pose(frames[:-1]) @ frames[1:]
+    _refuse_bare_links(path, link_names, origins, capsules)
     return ArmModel(
         name=Path(path).stem,
-        link_names=tuple(engine.body(int(body)).name or f"link_{k}" for k, body in enumerate([base, *bodies])),
+        link_names=link_names,
         joint_names=tuple(engine.joint(joint).name or f"joint_{k}" for k, joint in enumerate(joints, 1)),
-        origins=inverse_pose(frames[:-1]) @ frames[1:],
+        origins=origins,
         lower=lower,
         upper=upper,
         max_velocity=np.full(len(joints), _MAX_VELOCITY),
@@ -140,7 +146,26 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
                 "before it; say which joints are the arm's with joint_names, of a launched arm with 'arm.joints'"
             )
         before = body
+    carrying = {before, *_ancestors(engine, before)}
+    others = [
+        joint for joint in range(engine.njnt) if joint not in joints and int(engine.jnt_bodyid[joint]) in carrying
+    ]
+    if others:
+        raise RobotError(
+            f"{path}: expected all joints that carry the arm among its own, found {known[others[0]]} besides, which "
+            "nobody would follow; name it too, or take it out of the file where it never moves"
+        )
     return joints
+
+
+def _refuse_bare_links(path: str | Path, names: Sequence[str], origins: Float64, capsules: Capsules) -> None:
+    """Raises `RobotError` for a moving link that is long, up to the next joint, and has no shape."""
+    for link, length in enumerate(np.linalg.norm(origins[1:, :3, 3], axis=1), 1):
+        if length > _BARE_M and link not in capsules.links:
+            raise RobotError(
+                f"{path}: expected shapes of link {names[link]}, {length:.2f} m long, found none: nothing would ever "
+                "be near it; give it geoms, <collision> elements in a URDF"
+            )
 
 
 def _ancestors(engine: Any, body: int) -> list[int]:
@@ -172,12 +197,13 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     """
     links = {int(body): k for k, body in enumerate(bodies, 1)}
     root = int(engine.body_rootid[bodies[0]])
+    of_arm = np.flatnonzero(engine.body_rootid[engine.geom_bodyid] == root)
+    touches = (engine.geom_contype[of_arm] != 0) | (engine.geom_conaffinity[of_arm] != 0)
+    carriers = np.array([_carrier(engine, links, int(engine.geom_bodyid[geom])) for geom in of_arm], dtype=np.int64)
+    bodies_of = engine.geom_bodyid[of_arm]
+    counts = touches | np.where(carriers == 0, not touches.any(), ~np.isin(bodies_of, bodies_of[touches]))
     owners, ends, radii = [], [], []
-    of_arm = engine.body_rootid[engine.geom_bodyid] == root
-    touching = of_arm & ((engine.geom_contype != 0) | (engine.geom_conaffinity != 0))
-    for geom in np.flatnonzero(touching if touching.any() else of_arm):
-        body = int(engine.geom_bodyid[geom])
-        link = next((links[b] for b in [body, *_ancestors(engine, body)] if b in links), 0)
+    for geom, link in zip(of_arm[counts], carriers[counts], strict=True):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         local = inverse_pose(frames[link]) @ pose
@@ -190,6 +216,11 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
             "expected links with shapes to stay clear with, found none; give them geoms, <collision> elements in a URDF"
         )
     return Capsules(np.array(owners, dtype=np.int64), np.array(ends).reshape(-1, 2, 3), np.array(radii))
+
+
+def _carrier(engine: Any, links: dict[int, int], body: int) -> int:
+    """Which link carries a body: the nearest of the bodies `links` that it hangs on, or the base, 0."""
+    return next((links[b] for b in [body, *_ancestors(engine, body)] if b in links), 0)
 
 
 def _geom_capsules(engine: Any, geom: int) -> tuple[Capsule, ...]:
