@@ -173,6 +173,25 @@ def test_a_slider_that_is_late_now_and_then_is_obedient() -> None:
         bench.run(200)
 
 
+def test_a_slider_that_somebody_drags_is_set_back_at_once_and_halts() -> None:
+    """It was set back ten times a second, and obeyed for a moment each time: the arm went on all the while."""
+    bench = Bench()
+    bench.fraction = 0.0
+    bench.run(400)
+    bench.link.tell(speed_slider=0.6)
+    bench.run(STEP_MS)
+    assert bench.link.state.speed_slider == 0.0
+    dragged = 0
+    while bench.report.state is DriverState.READY and dragged < 40:
+        dragged += 1
+        for _ in range(6):  # the pendant's 24 ms outlast what is set meanwhile
+            bench.link.tell(speed_slider=0.6)
+            bench.run(STEP_MS)
+        bench.run(40)
+    assert dragged <= 10
+    assert bench.report.reason == "speed slider set to 0% reads 60%: somebody else moves it"
+
+
 def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
     bench = Bench(mode=DriverMode.READ_ONLY)
     report = bench.run(320)

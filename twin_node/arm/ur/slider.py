@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.sample import UrSample
 
 _RESEND_S = 0.1
 """The slider is set again this often, so that nobody else's setting stays."""
-_OBEY_S = 0.2
-"""The controller's slider must show what it was set to within this time: a hundred of its periods."""
+_CONTRADICT_S = 0.02
+"""And this often while it is above what it was set to: within this time a controller has told what it was set to."""
+_ECHO_S = 0.1
+"""Until then the slider may still show what it was set to before: fifty of the controller's periods."""
+_OBEY_S = 0.1
+"""Beyond that it may be above for so long in all, be it at once or again and again: a dragging hand lets go of it."""
+_FORGIVEN = 1 / 8
+"""How fast that is forgotten while the slider obeys."""
+_LONGEST_LOOK_S = 0.02
+"""No more is counted from one look to the next: a driver that was held up does not know for how long it was above."""
+_CHANGES_KEPT = 64
+"""Twice as many as a driver that looks every 4 ms makes until the first is not looked at any more."""
 _OBEY_TOLERANCE = 0.02
 """How far it may be above: the pendant rounds to per cent."""
 _HELD_S = 1.0
@@ -24,16 +36,21 @@ class Slider:
         self._link = link
         self._fraction: float | None = None
         self._stamp = 0
+        self._before: deque[tuple[int, float]] = deque(maxlen=_CHANGES_KEPT)
+        """When it was set to something else, and what it had been set to until then."""
         self._beats = 0
-        self._disobedient_since: int | None = None
+        self._is_above = False
+        self._above_s = 0.0
+        self._looked = 0
         self._held_since: int | None = None
 
     def move(self, fraction: float, now: int) -> None:
         """Set the slider (0 to 1) where that is news, or was done a while ago. Raises `ArmError`: the link is lost."""
         before = self._fraction
         is_new = before is None or fraction == 0 < before or abs(fraction - before) >= _STEP
-        if is_new or (now - self._stamp) * 1e-9 >= _RESEND_S:
+        if is_new or (now - self._stamp) * 1e-9 >= (_CONTRADICT_S if self._is_above else _RESEND_S):
             self._link.set_speed(fraction)
+            self._before.append((now, 1.0 if before is None else before))
             self._fraction, self._stamp = fraction, now
 
     def beat(self) -> None:
@@ -43,12 +60,16 @@ class Slider:
 
     def disobedience(self, sample: UrSample, now: int) -> str | None:
         """Why the slider is not where it was set to, in words; None where it is, or lower."""
-        told = self._fraction
-        if told is None or sample.speed_slider <= told + _OBEY_TOLERANCE:
-            self._disobedient_since = None
+        told, passed_s = self._fraction, min((now - self._looked) * 1e-9, _LONGEST_LOOK_S)
+        self._looked = now
+        if told is None:
             return None
-        self._disobedient_since = self._disobedient_since or now
-        if (now - self._disobedient_since) * 1e-9 <= _OBEY_S:
+        while self._before and (now - self._before[0][0]) * 1e-9 > _ECHO_S:
+            self._before.popleft()
+        highest = max(told, max((fraction for _, fraction in self._before), default=0.0))
+        self._is_above = sample.speed_slider > highest + _OBEY_TOLERANCE
+        self._above_s = max(self._above_s + (passed_s if self._is_above else -_FORGIVEN * passed_s), 0.0)
+        if not self._is_above or self._above_s <= _OBEY_S:
             return None
         return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
 
