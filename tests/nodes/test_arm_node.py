@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,11 @@ from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
 from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode
 from twin_node.nodes.arm_parameters import ArmParameters
-from twin_node.nodes.topics import OBSTACLES, SEPARATION
+from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Float64
+from twin_node.scene import Float64, JointSample
 
 PARAMETERS = ArmParameters("ur5e")
 COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
@@ -140,6 +141,42 @@ def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
     cell.gripper()
     with pytest.raises(TwinError, match="found finger_joint"):
         cell.somebody()
+
+
+@pytest.mark.parametrize("told", ["some joints", "NaN joints", "NaN path", "to stay"])
+def test_an_arm_of_which_nothing_is_told_that_can_be_believed_stands_and_is_none_made_up(told: str) -> None:
+    """It was let go at full speed where nobody stands in the way of a made-up cycle."""
+    cell = Cell()
+    whole = JointSample(START, MODEL.joint_names, READY, TURNING)
+    some = replace(whole, names=whole.names[:5], positions=READY[:5], velocities=TURNING[:5])
+    if told == "to stay":
+        cell.stay()
+        reason = "the arm is to stay where it is, and nobody has told where"
+    else:
+        with pytest.raises(TwinError) as refusal:
+            if told == "NaN path":
+                cell.path(begins_ms=0, lasts_ms=200, velocity=TURNING * np.nan)
+            elif told == "NaN joints":
+                cell.joints(qd=TURNING * np.nan)
+            else:
+                cell.bus.publish(JOINT_STATES, convert.joint_sample_to_message(some))
+        reason = str(refusal.value)
+    decision = cell.somebody(at=np.full(3, 5.0))
+    assert (decision.speed_fraction, decision.reason) == (0.0, f"stopped: {reason}")
+    assert [(d.level, d.message) for d in cell.node.diagnoses()] == [(convert.Level.ERROR, reason)]
+    cell.joints()
+    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear"
+
+
+def test_an_arm_with_a_driver_of_ones_own_stands_until_somebody_tells_where_it_is() -> None:
+    cell = Cell(driven=True)
+    decision = cell.somebody(at=np.full(3, 5.0))
+    assert (decision.speed_fraction, decision.reason) == (
+        0.0,
+        "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory",
+    )
+    cell.joints()
+    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear"
 
 
 def test_joints_that_come_late_do_not_replace_newer_ones() -> None:

@@ -49,11 +49,21 @@ class ArmPredictor:
         self._measured: JointSample | None = None
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
         self._other: JointSample | None = None
+        self._refused: str | None = None
 
     @property
     def is_made_up(self) -> bool:
         """Whether nobody has told of an arm yet: the cycle stands for it."""
-        return self._path is None and self._joints is None
+        return self._path is None and self._joints is None and self._refused is None
+
+    @property
+    def refused(self) -> str | None:
+        """Why all that was told of an arm so far cannot be believed; None: some can, or nothing was told."""
+        return self._refused if self._path is None and self._joints is None else None
+
+    def refuse(self, reason: str) -> None:
+        """Something was told of an arm that cannot be believed: there is one, and nobody knows where."""
+        self._refused = reason
 
     @property
     def stray_rad(self) -> float | None:
@@ -70,6 +80,8 @@ class ArmPredictor:
     def leave_path(self) -> None:
         """The path holds no longer: from now on the joints alone tell where the arm goes."""
         self._is_held = True
+        if self._path is None:
+            self.refuse("the arm is to stay where it is, and nobody has told where")
 
     def take_joints(self, sample: JointSample, has_velocities: bool = True, share: float = 1.0) -> None:
         """A new sample, its joints in any order; without velocities, they are those since the sample before.
@@ -112,6 +124,8 @@ class ArmPredictor:
                 when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
                 raise ArmError(f"the arm's joints are {when}")
             return path_from_sample(self._model, joints, stamp)
+        if self.refused is not None:
+            raise ArmError(self.refused)
         if path is None and self._other is not None:
             self._model.order(self._other.names, self._other.positions)
         if path is None:

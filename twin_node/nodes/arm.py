@@ -56,7 +56,8 @@ class ArmNode(Node):
     The arm's future comes from `/arm/trajectory` while it lasts and the joints are on it, else from `/joint_states`
     extrapolated, which must be as fresh as forecasts. In a live graph they are those of an arm that obeys: the share
     that it was told is taken out. Where neither has ever come it is that of a made-up cycle: a log without an arm is
-    judged as if one worked in it. Not so where a driver obeys: its arm stands until somebody tells where it is.
+    judged as if one worked in it. Not so where a driver obeys, or where all that came was refused: that arm stands
+    until somebody tells where it is.
     """
 
     def __init__(
@@ -103,6 +104,8 @@ class ArmNode(Node):
         if self._arm.is_made_up:
             level = convert.Level.WARN
             message = f"nobody publishes {JOINT_STATES} or {TRAJECTORY}: a made-up cycle is judged in place of an arm"
+        elif self._arm.refused is not None:
+            level, message = convert.Level.ERROR, self._arm.refused
         elif self._arm.stray_rad is not None:
             level = convert.Level.WARN
             message = (
@@ -139,13 +142,18 @@ class ArmNode(Node):
             return
         try:
             self._arm.take_path(convert.joint_path_from_message(message, self.clock.now()))
-        except TwinError:
+        except TwinError as error:
             self._arm.leave_path()  # whatever this one says, the arm goes along it and not along the one before
+            self._arm.refuse(str(error))
             raise
 
     def _on_joints(self, message: Message) -> None:
-        sample = convert.joint_sample_from_message(message)
-        self._arm.take_joints(sample, len(message.velocity) > 0, self._share if self._is_live else 1.0)
+        try:
+            sample = convert.joint_sample_from_message(message)
+            self._arm.take_joints(sample, len(message.velocity) > 0, self._share if self._is_live else 1.0)
+        except TwinError as error:
+            self._arm.refuse(str(error))
+            raise
 
     def _on_obstacles(self, message: Message) -> None:
         now = self.clock.now()
@@ -164,7 +172,7 @@ class ArmNode(Node):
     def _decided(self, obstacles: Obstacles, stamp: int, now: int) -> Separation:
         """What the law says at a time (ns) that the obstacles are valid from; an arm of which nobody knows stands."""
         reaction_s, driving = self._reaction_s(now), self._driving()
-        if driving is not Driving.NOBODY and self._arm.is_made_up:
+        if (driving is not Driving.NOBODY or self._parameters.driven) and self._arm.is_made_up:
             why = f"an arm is driven, and nobody publishes its {JOINT_STATES} or {TRAJECTORY}"
             return standing(stamp, obstacles.stamp, f"stopped: {why}")
         try:

@@ -109,6 +109,9 @@ class ArmParameters:
     """Where it may touch what stands, the table it works on for example, and where nothing can stand unseen."""
     stopping: tuple[StoppingRow, ...] = ()
     """How it stops, as measured, in rising order of speed; none: `stopping_table` of its name."""
+    driven: bool = False
+    """Whether a driver of your own obeys the decisions: until somebody tells where its arm is, none is made up and that
+    one stands. Of `ur_driver` the node knows by the launch file and the graph."""
     servoed: bool = False
     """Whether a driver servoes it along trajectories (`ur_driver` with `mode: servo`), and so brakes for it, later and
     farther than it stops by itself. Live, the node also knows by the launch file and the graph."""
