@@ -47,7 +47,9 @@ def add_ur_driver(commands: Any) -> None:
         default="slider",
         help="how the arm is driven (default slider)",
     )
-    parser.add_argument("--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e or ur16e")
+    parser.add_argument(
+        "--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e, ur16e, or an MJCF or URDF file"
+    )
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
     parser.add_argument(
         "--register", type=whole, default=20, metavar="N", help="input register of the heartbeat, 18 to 22 (default 20)"

@@ -16,7 +16,7 @@ import pytest
 from shifts import Shift, parameters, wait_for
 
 from twin_node.arm.errors import ArmError
-from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters, link
 from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.process import DriverProcess
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
@@ -120,6 +120,30 @@ def test_another_type_of_arm_is_refused(other: StandInProcess) -> None:
     shift = Shift(other, model="ur10e")
     shift.until_state(DriverState.LOST, "expected a ur10e, the controller says it has a UR5")
     shift.close()
+
+
+@pytest.mark.parametrize(
+    ("software", "model", "refusal"),
+    [
+        ("URSoftware 3.15.8.106339 (Nov 05 2021)", "ur5e", r"earlier series \(PolyScope 3\)"),
+        ("URSoftware 3.15.8.106339 (Nov 05 2021)", "ur5_cb3.xml", "ur_rtde comes next"),
+        ("URSoftware 5.12.6.1102099 (Sep 21 2022)", "ur5e", "ur_rtde comes next"),
+        ("", "ur5e", "ur_rtde comes next"),
+    ],
+)
+def test_an_arm_of_an_earlier_series_is_refused_unless_its_file_says_what_it_is(
+    monkeypatch: pytest.MonkeyPatch, software: str, model: str, refusal: str
+) -> None:
+    """Its controller says "UR5" as a UR5e's does, and its tool is up to 10 cm from where a UR5e has it."""
+
+    def no_module(_: str) -> Any:
+        raise ArmError("ur_rtde comes next")
+
+    monkeypatch.setattr(link, "_check_reachable", lambda _: None)
+    monkeypatch.setattr(link, "ask_dashboard", lambda _, order: {"PolyscopeVersion": software}.get(order, "UR5"))
+    monkeypatch.setattr(link, "_module", no_module)
+    with pytest.raises(ArmError, match=refusal):
+        link.RtdeLink(UrParameters(model=model))
 
 
 def test_a_driver_that_may_plays_on_by_itself_when_forecasts_are_back(other: StandInProcess) -> None:

@@ -184,9 +184,17 @@ def _check_reachable(robot: str) -> None:
 
 def _check_model(robot: str, model: str) -> None:
     """Raises `ArmError` where the controller says it has another type of arm; not every controller says."""
+    if model not in UR_NAMES:
+        return
     told = ask_dashboard(robot, "get robot model")
-    if model in UR_NAMES and re.fullmatch(r"UR\d+", told) and told != model.rstrip("e").upper():
+    if re.fullmatch(r"UR\d+", told) and told != model.rstrip("e").upper():
         raise ArmError(f"{robot}: expected a {model}, the controller says it has a {told}; choose that model")
+    series = re.search(r"URSoftware ([123])\.", ask_dashboard(robot, "PolyscopeVersion"))
+    if series:
+        raise ArmError(
+            f"{robot}: expected a {model}, found a controller of an earlier series (PolyScope {series[1]}), whose arms "
+            "have links of other lengths; give the arm's MJCF or URDF file as the model, here and as 'arm.model'"
+        )
 
 
 def ask_dashboard(robot: str, order: str) -> str:

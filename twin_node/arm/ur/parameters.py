@@ -36,7 +36,7 @@ class UrParameters:
     robot: str = "127.0.0.1"
     """Address or host name of the controller."""
     model: str = "ur5e"
-    """One of `twin_node.robot.UR_NAMES`."""
+    """One of `twin_node.robot.UR_NAMES`; for an arm of the CB3 series its MJCF or URDF file."""
     kinematics: str | None = None
     """The arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
     mode: DriverMode = DriverMode.SLIDER
