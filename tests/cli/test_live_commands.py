@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin_node.arm.ur import DriverReport, DriverState
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import BYTES_PER_SPLAT, Visitor, free_port
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
+from twin_node.cli.ur_driver import _News
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.model.ply import StoredGaussians, cloud_from_stored
 from twin_node.nodes.topics import DIAGNOSTICS, GAUSSIANS
@@ -211,3 +213,18 @@ def test_doctor_says_that_nobody_is_there(
         monkeypatch.setenv(name, environment[name])
     assert main(["doctor", "--seconds", "0.1"]) == 1
     assert "found: nobody is there" in capsys.readouterr().out
+
+
+def test_a_driver_says_whole_reasons_once() -> None:
+    """It said "ready: slow" of an arm that is slow for somebody, and "controller sent 9.3 rad/s" without the joint."""
+    news = _News()
+    reasons = (
+        "slow for MOVING",
+        "slow for MOVING",
+        "slow for UNKNOWN",
+        "stopped: no forecast for 141 ms",
+        "stopped: no forecast for 1615 ms",
+        "controller sent 9.30 rad/s for wrist_1_joint: beyond its rating",
+    )
+    said = [news.of(DriverReport(0, DriverState.READY, reason)) for reason in reasons]
+    assert said == [None if row in (1, 4) else f"ready: {reason}" for row, reason in enumerate(reasons)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import select
 import signal
 import sys
@@ -156,6 +157,24 @@ def _player(decisions: Path, bus: Any, stack: contextlib.ExitStack) -> Any:
     return Player(log, bus, {SEPARATION: SEPARATION}, span), span.start_ns
 
 
+class _News:
+    """What a driver says, once per change: numbers that go on changing are none."""
+
+    def __init__(self) -> None:
+        self._said = ""
+
+    def of(self, report: Any) -> str | None:
+        """The line that tells a report; None where it says the same as the one before."""
+        line = f"{report.state.value}: {report.reason}"
+        if report.refusal is not None:
+            line += f" (refused: {report.refusal})"
+        words = re.sub(r"\d+", "", line)
+        if words == self._said:
+            return None
+        self._said = words
+        return line
+
+
 def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
     """Tick, say what changes, and take Enter for an acknowledgement, until time is up or Ctrl-C.
 
@@ -167,15 +186,12 @@ def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
     from twin_node.messages.types import message_type
     from twin_node.nodes.topics import ACKNOWLEDGE
 
-    said, was_connected = "", False
+    news, was_connected = _News(), False
     while pace.step(node.report.state is DriverState.READY):
         node.tick()
         report = node.report
-        line = f"{report.state.value}: {report.reason.partition(' for ')[0]}"
-        if report.refusal is not None:
-            line += f" (refused: {report.refusal})"
-        if line != said:
-            said = line
+        line = news.of(report)
+        if line is not None:
             print(line, flush=True)
         was_connected |= report.sample is not None
         if report.state is DriverState.LOST and is_ending_when_lost:
