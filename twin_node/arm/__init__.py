@@ -18,6 +18,7 @@ from twin_node.arm.predictor import ArmPredictor
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
+from twin_node.arm.workspace import beyond
 
 __all__ = [
     "AllowedRegion",
@@ -35,6 +36,7 @@ __all__ = [
     "SpeedLimiter",
     "StoppingTable",
     "UnknownPolicy",
+    "beyond",
     "decide",
     "default_path",
     "extrapolate",

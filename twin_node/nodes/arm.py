@@ -14,6 +14,7 @@ from twin_node.arm import (
     ArmPredictor,
     CyclicPath,
     SpeedLimiter,
+    beyond,
     decide,
     default_path,
     standing,
@@ -36,6 +37,10 @@ REPEATS_PER_DEADLINE = 2
 HEARD_NS = 5_000_000
 """From a decision until another process of the host has heard it, ns, ten times the usual: silence is answered so much
 before its deadline, so that who drives the arm knows by then."""
+OUTSIDE_M = 0.02
+"""So far out the arm's end is outside the workspace, m: less than a voxel."""
+TOLD_NS = 10_000_000_000
+"""So long after it is told that the arm was outside the workspace, ns: about a cycle."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
@@ -69,12 +74,14 @@ class ArmNode(Node):
         parameters: ArmParameters,
         timers: Timers | None = None,
         driving: Callable[[], Driving] | None = None,
+        workspace: Float64 | None = None,
     ) -> None:
         """`make_cycle()`: what an arm of which nobody tells is taken to do.
 
         `timers`: tell of forecasts that do not come; None in lockstep, where nothing is late, and where the arm of the
         log, which heard nobody, moves at its full speed whatever is told.
         `driving()`: who drives the arm now; it may be servoed beside what the parameters say. None: nobody.
+        `workspace` [2, 3]: corners of what is looked at, m; None: nobody is told where the arm leaves it.
         """
         super().__init__("arm", bus, clock)
         self._silence = (timers or NoTimers()).alarm(self._on_silence)
@@ -88,6 +95,9 @@ class ArmNode(Node):
         self._limiter = SpeedLimiter(parameters.limiter)
         limits = parameters.limiter
         self._arm = ArmPredictor(checker.model, make_cycle, limits.evidence_latency_s + 2 * limits.deadline_s)
+        self._workspace = workspace
+        self._outside: tuple[int, float] | None = None
+        """When the arm's end was last outside the workspace, ns, and how far, m."""
         self._refused: str | None = None
         self._is_live = timers is not None
         self._share = 0.0
@@ -112,7 +122,18 @@ class ArmNode(Node):
                 f"the arm is {self._arm.stray_rad:.2f} rad from where {TRAJECTORY} has it: {JOINT_STATES} alone are "
                 "believed until another one comes; publish what it will do as it is held back"
             )
-        return (convert.Diagnosis(f"{self.name}: joints", level, message),)
+        return (convert.Diagnosis(f"{self.name}: joints", level, message), self._reach())
+
+    def _reach(self) -> convert.Diagnosis:
+        """Whether the arm works where somebody looks: elsewhere nothing is seen, and nothing stops it."""
+        level, message = convert.Level.OK, "inside the workspace"
+        if self._outside is not None and self.clock.now() - self._outside[0] < TOLD_NS:
+            level = convert.Level.WARN
+            message = (
+                f"the arm's end is {self._outside[1]:.2f} m outside the workspace, where nothing is looked for and "
+                "nothing stops it; let the rig's 'workspace' reach farther"
+            )
+        return convert.Diagnosis(f"{self.name}: reach", level, message)
 
     def _on_silence(self) -> None:
         """Slows an arm one deadline after its last forecast, stops it after two, and says so while it lasts."""
@@ -179,6 +200,10 @@ class ArmNode(Node):
             path = self._arm.ahead(stamp, max(now, obstacles.stamp))  # a log may be recorded before its stamps
         except ArmError as error:
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
+        if self._workspace is not None and not self._arm.is_made_up:
+            out_m = beyond(self._checker.model, path.positions[0], self._workspace)
+            if out_m > OUTSIDE_M:
+                self._outside = now, out_m
         is_servoed = self._parameters.servoed or driving is Driving.SERVOED
         table = self._servo_stop if is_servoed else self._own_stop
         return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table)
@@ -210,4 +235,4 @@ def make_arm_node(
     """The arm's node of a chain; `workspace` [2, 3] m. `timers` and `driving`: see `ArmNode`."""
     arm = parameters.arm()
     checker = ArmCollisionChecker(arm, max_obstacles=parameters.max_obstacles, allowed=parameters.regions(arm))
-    return ArmNode(bus, clock, checker, lambda: default_path(arm, workspace), parameters, timers, driving)
+    return ArmNode(bus, clock, checker, lambda: default_path(arm, workspace), parameters, timers, driving, workspace)
