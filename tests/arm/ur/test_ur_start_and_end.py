@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -144,6 +145,55 @@ def test_an_arm_of_an_earlier_series_is_refused_unless_its_file_says_what_it_is(
     monkeypatch.setattr(link, "_module", no_module)
     with pytest.raises(ArmError, match=refusal):
         link.RtdeLink(UrParameters(model=model))
+
+
+def dashboard(said: bytes) -> tuple[str, threading.Thread]:
+    """A dashboard's host that says so much and no more to whoever comes first."""
+    host = free_loopback()
+    server = socket.create_server((host, 29999))
+
+    def serve() -> None:
+        with server, server.accept()[0] as caller:
+            caller.sendall(said)
+            while caller.recv(100):
+                pass
+
+    serving = threading.Thread(target=serve, daemon=True)
+    serving.start()
+    return host, serving
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"),
+    [
+        (b"Connected\nStarting program\n", "Starting program"),
+        (b"Connected\nStarting pro", ""),
+        (b"Connected\n", ""),
+        (b"", ""),
+    ],
+)
+def test_a_dashboard_is_waited_for_no_longer_than_whoever_waits_for_the_driver(said: bytes, answer: str) -> None:
+    """It was for 0.3 s per word: a supervisor ended the driver that waited, whenever it had pressed play."""
+    host, serving = dashboard(said)
+    assert link.ask_dashboard(host, "play", 0.05 if answer == "" else 30.0) == answer
+    serving.join()
+
+
+@pytest.mark.parametrize(
+    ("answer", "refused"),
+    [("Starting program", ""), ("", ""), ("Failed to execute: play", "Failed"), (None, "reached")],
+)
+def test_a_dashboard_that_has_not_answered_yet_has_not_refused_to_play(
+    monkeypatch: pytest.MonkeyPatch, answer: str | None, refused: str
+) -> None:
+    connected = object.__new__(link.RtdeLink)
+    connected._parameters = UrParameters()
+    monkeypatch.setattr(link, "ask_dashboard", lambda *_: answer)
+    if not refused:
+        connected.play()
+        return
+    with pytest.raises(ArmError, match=refused):
+        connected.play()
 
 
 def test_a_driver_that_may_plays_on_by_itself_when_forecasts_are_back(other: StandInProcess) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import re
 import socket
@@ -33,8 +34,10 @@ _VARIABLES = (
 """Modes stand behind the joints: a package with too few joint values shows in them."""
 _RTDE_PORT = 30004
 _DASHBOARD_PORT = 29999
-_DASHBOARD_S = 0.3
-"""Longest that the dashboard may take; it is asked while the arm stands."""
+_DASHBOARD_S = 2.0
+"""Longest that the dashboard may take in all."""
+_PLAY_S = 0.3
+"""The same while a supervisor waits for reports: half of what it waits."""
 _REACH_TIMEOUT_S = 2.0
 """A controller in the same network answers within milliseconds; `ur_rtde` itself has no such limit."""
 _GAIN = 300.0
@@ -142,12 +145,15 @@ class RtdeLink:
             raise ArmError("control script: its watchdog cannot be set")
 
     def play(self) -> None:
-        """Let the robot's paused program go on; raises `ArmError` where the dashboard refuses."""
-        answer = ask_dashboard(self._parameters.robot, "play")
-        if answer != "Starting program":
+        """Let the robot's paused program go on; raises `ArmError` where the dashboard refuses.
+
+        One that has not answered yet may be about to: whether the program plays, the controller's state tells.
+        """
+        answer = ask_dashboard(self._parameters.robot, "play", _PLAY_S)
+        if answer not in ("Starting program", ""):
             raise ArmError(
-                f"{self._parameters.robot}: the dashboard does not start the program ({answer or 'no answer'}); press "
-                "play on the pendant, or switch to remote control"
+                f"{self._parameters.robot}: the dashboard does not start the program ({answer or 'not reached'}); "
+                "press play on the pendant, or switch to remote control"
             )
 
     def close(self) -> None:
@@ -186,10 +192,10 @@ def _check_model(robot: str, model: str) -> None:
     """Raises `ArmError` where the controller says it has another type of arm; not every controller says."""
     if model not in UR_NAMES:
         return
-    told = ask_dashboard(robot, "get robot model")
+    told = ask_dashboard(robot, "get robot model") or ""
     if re.fullmatch(r"UR\d+", told) and told != model.rstrip("e").upper():
         raise ArmError(f"{robot}: expected a {model}, the controller says it has a {told}; choose that model")
-    series = re.search(r"URSoftware ([123])\.", ask_dashboard(robot, "PolyscopeVersion"))
+    series = re.search(r"URSoftware ([123])\.", ask_dashboard(robot, "PolyscopeVersion") or "")
     if series:
         raise ArmError(
             f"{robot}: expected a {model}, found a controller of an earlier series (PolyScope {series[1]}), whose arms "
@@ -197,16 +203,27 @@ def _check_model(robot: str, model: str) -> None:
         )
 
 
-def ask_dashboard(robot: str, order: str) -> str:
-    """The dashboard's answer to one line; empty where there is none in time. PolyScope X has no dashboard."""
+def ask_dashboard(robot: str, order: str, longest_s: float = _DASHBOARD_S) -> str | None:
+    """The dashboard's answer to one line; empty where there is none in time, None where nobody listens.
+
+    PolyScope X has no dashboard.
+    """
+    until = time.monotonic() + longest_s
     try:
-        with socket.create_connection((robot, _DASHBOARD_PORT), timeout=_DASHBOARD_S) as connection:
-            connection.sendall(f"{order}\n".encode())
-            with connection.makefile("r", encoding="utf-8", errors="replace") as lines:
-                lines.readline()  # the greeting
-                return lines.readline().strip()
+        connection = socket.create_connection((robot, _DASHBOARD_PORT), timeout=longest_s)
     except OSError:
-        return ""
+        return None
+    heard = b""
+    with connection, contextlib.suppress(OSError):
+        connection.sendall(f"{order}\n".encode())
+        while heard.count(b"\n") < 2:  # the first line is its greeting
+            connection.settimeout(max(until - time.monotonic(), 1e-3))
+            more = connection.recv(4096)
+            if not more:
+                break
+            heard += more
+    _, *answers = heard.decode(errors="replace").split("\n")
+    return answers[0].strip() if len(answers) > 1 else ""
 
 
 def _refused(robot: str, error: RuntimeError) -> str:
