@@ -128,7 +128,16 @@ def test_measured_stops_are_parameters() -> None:
     [
         ([{"speed": 1.0, "times": [0.1] * 6, "angles": [0.1] * 5}], "expected a time and an angle per joint, found 6"),
         ([{"speed": 1.0, "times": [0.1] * 7, "angles": [0.1] * 7}], "expected times of the 6 joints of ur5e"),
-        ([{"speed": 0.0, "times": [0.1] * 6, "angles": [0.1] * 6}], "expected rising speeds"),
+        ([{"speed": 0.0, "times": [0.0] * 6, "angles": [0.0] * 6}], "expected rising speeds"),
+        (
+            [{"speed": 183.0, "times": [0.5] * 6, "angles": [0.7] * 6}],
+            "in rad/s, at most 15, found 183",
+        ),
+        (
+            [{"speed": 3.2, "times": [0.5] * 6, "angles": [40.0] * 6}],
+            r"about 0\.8 rad, found 40; give rad/s",
+        ),
+        ([{"speed": 3.2, "times": [0.5] * 6, "angles": [0.0] * 6}], r"about 0\.8 rad, found 0"),
         ([{"speed": 1.0, "times": [-0.1] * 6, "angles": [0.1] * 6}], "expected finite times and angles"),
     ],
 )

@@ -23,6 +23,11 @@ FARTHEST_TOOL_M = 2.0
 FARTHEST_REGION_M = 10.0
 """No corner of an allowed region is farther from `base_link` along an axis, m: who gives more means millimetres."""
 
+FASTEST_RAD_S = 15.0
+"""No joint of an arm is faster: who gives more means degrees."""
+OF_A_STOP = 10.0
+"""A stop's angle is about half its time at the speed before; none is so many times less or more."""
+
 
 @dataclass(frozen=True)
 class ToolCapsule:
@@ -86,11 +91,20 @@ class StoppingRow:
     """That each joint went meanwhile, rad."""
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for times and angles of different joints."""
+        """Raises `ArmError` for times and angles of different joints, and for such that no stop has, in other units."""
         if len(self.times) != len(self.angles):
             raise ArmError(
                 f"stopping: expected a time and an angle per joint, found {len(self.times)} and {len(self.angles)}"
             )
+        if self.speed > FASTEST_RAD_S:
+            raise ArmError(f"stopping: expected a speed in rad/s, at most {FASTEST_RAD_S:g}, found {self.speed:g}")
+        for time_s, angle in zip(self.times, self.angles, strict=True):
+            way = self.speed * time_s
+            if time_s > 0 and not way / OF_A_STOP <= angle <= way * OF_A_STOP:
+                raise ArmError(
+                    f"stopping: expected of a stop from {self.speed:g} rad/s in {time_s:g} s an angle of about "
+                    f"{way / 2:.2g} rad, found {angle:g}; give rad/s, s and rad"
+                )
 
 
 @dataclass(frozen=True)
