@@ -145,3 +145,21 @@ def test_a_dashboard_that_refuses_to_play_keeps_the_halt_and_the_connection() ->
     assert report.reason == "the dashboard does not start the program"
     bench.link.is_remote = True
     assert bench.run(1000).state is DriverState.READY
+
+
+def test_a_program_that_does_not_watch_the_heartbeat_is_told_of_at_the_first_halt() -> None:
+    """The slider alone stopped it, and nobody knew until the day on which the slider did not reach it."""
+    bench = Bench()
+    bench.run(320)
+    bench.is_fed = False
+    halted = bench.run(1000).reason
+    assert "heartbeat" not in halted
+    told = bench.run(2000).reason
+    assert told == f"{halted}; and the robot's program plays on without the heartbeat: let it call rtde_set_watchdog"
+    bench.link.tell(runtime_state=4)
+    assert bench.run(100).reason == halted
+
+
+def test_a_program_that_waits_for_the_first_heartbeat_watches_it() -> None:
+    bench = Bench(halt=Halt("connection lost"))
+    assert bench.run(4000).reason == "connection lost"

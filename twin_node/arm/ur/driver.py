@@ -257,7 +257,7 @@ class UrDriver:
         if self._slider is not None:
             self._slider.move(self._fraction(), now)
             if self._halt is None:
-                self._slider.beat()
+                self._slider.beat(now)
         elif self._mode is DriverMode.SERVO:
             self._servo(self._fraction(), now, dt)
 
@@ -281,15 +281,24 @@ class UrDriver:
             if self._halt is None:
                 self._stop_for("the control script does not run: it refused a command")
 
+    def _remark(self, slider: Slider, now: int) -> str:
+        """What else is to be known of the robot's program, after the reason why it goes or stands; empty: nothing."""
+        if self._halt is None:
+            return slider.idleness(self._sample, now)
+        is_known = self._freshness.age_s <= self._parameters.stale_s
+        return slider.unwatchfulness(self._sample, now) if is_known else ""
+
     def _report(self, now: int, is_over: bool) -> DriverReport:
         is_deaf = self._mode is DriverMode.READ_ONLY
         reason = "read only" if is_deaf or self._told is None else self._told.reason
+        if self._halt is not None:
+            reason = self._halt.reason
         if self._slider is not None:
-            reason += self._slider.idleness(self._sample, now)
+            reason += self._remark(self._slider, now)
         report = DriverReport(
             stamp=now,
             state=DriverState.READY if self._halt is None else DriverState.HALTED,
-            reason=reason if self._halt is None else self._halt.reason,
+            reason=reason,
             speed_fraction=None if is_deaf else self._fraction(),
             halt=self._halt,
             is_over=is_over,

@@ -25,6 +25,8 @@ _OBEY_TOLERANCE = 0.02
 """How far it may be above: the pendant rounds to per cent."""
 _HELD_S = 1.0
 """A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
+_UNWATCHED_S = 2.0
+"""A program that watches the heartbeat has paused so long after the last: its watchdog's period, and what it brakes."""
 _STEP = 0.005
 """Smallest change of the speed that is worth a package."""
 
@@ -39,6 +41,7 @@ class Slider:
         self._before: deque[tuple[int, float]] = deque(maxlen=_CHANGES_KEPT)
         """When it was set to something else, and what it had been set to until then."""
         self._beats = 0
+        self._beaten: int | None = None
         self._is_above = False
         self._above_s = 0.0
         self._looked = 0
@@ -53,8 +56,9 @@ class Slider:
             self._before.append((now, 1.0 if before is None else before))
             self._fraction, self._stamp = fraction, now
 
-    def beat(self) -> None:
+    def beat(self, now: int) -> None:
         """Tell the program's watchdog that the driver lives. Raises `ArmError`: the link is lost."""
+        self._beaten = now
         self._beats = (self._beats + 1) % 2**31
         self._link.beat(self._beats)
 
@@ -72,6 +76,17 @@ class Slider:
         if not self._is_above or self._above_s <= _OBEY_S:
             return None
         return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
+
+    def unwatchfulness(self, sample: UrSample | None, now: int) -> str:
+        """That the robot's program goes on without a heartbeat, in words after a halt's; empty where it does not.
+
+        Where the slider does not reach it, nothing would stop it then. Before this driver's first beat a program may
+        wait for that.
+        """
+        is_late = self._beaten is not None and (now - self._beaten) * 1e-9 > _UNWATCHED_S
+        if sample is None or not sample.is_playing or not is_late:
+            return ""
+        return "; and the robot's program plays on without the heartbeat: let it call rtde_set_watchdog"
 
     def idleness(self, sample: UrSample | None, now: int) -> str:
         """Why an arm that may go does not all the same, in words after those of the decision; empty where it does."""
