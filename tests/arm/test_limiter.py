@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from obstacle_sets import MS, NOW
 
 from twin_node.arm import ArmError, LimiterParameters, SpeedLimiter
-from twin_node.scene import Separation
+from twin_node.scene import NO_EVIDENCE, Separation
 
 FREE = Separation(NOW, NOW, 1.0, 0.3, 0.0, 0.05, 0.05, 0.2, 0.0, "wrist_1_link", 3, 1.0, "clear of MOVING")
 
@@ -74,6 +74,12 @@ def test_old_evidence_is_silence_however_often_it_is_sent() -> None:
             assert told.speed_fraction <= 0.2
         else:
             assert told.speed_fraction == 1.0
+
+
+def test_a_decision_without_a_stamp_of_its_evidence_stops_the_arm_and_says_why() -> None:
+    """The arm stood, and was said to be clear of whoever moved."""
+    told = at_full_speed().decide(replace(decision(1.0, 10), evidence_stamp=NO_EVIDENCE), NOW + 10 * MS)
+    assert (told.speed_fraction, told.reason) == (0.0, "stopped: nobody knows how old the evidence is; stamp it")
 
 
 def test_a_clock_that_is_put_back_does_not_make_a_forecast_last() -> None:

@@ -73,7 +73,7 @@ class SpeedLimiter:
         limit, reason = self._decision.speed_fraction, self._decision.reason
         age_s = self.silence_s(now)
         if self._decision.evidence_stamp == NO_EVIDENCE:
-            limit = 0.0
+            limit, reason = 0.0, reason if limit == 0 else "stopped: nobody knows how old the evidence is; stamp it"
         elif age_s >= 2 * self.parameters.deadline_s:
             limit, reason = 0.0, f"stopped: no forecast for {age_s * 1e3:.0f} ms"
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
