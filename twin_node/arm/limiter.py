@@ -83,6 +83,10 @@ class SpeedLimiter:
         self._stamp = now
         return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
 
+    def rest(self) -> None:
+        """The arm stands, whatever it was told: from now on its speed rises from there."""
+        self._fraction = 0.0
+
     def silence_s(self, now: int) -> float:
         """How long there has been no fresh forecast at a time (ns), s; infinite before the first."""
         if self._decision is None:

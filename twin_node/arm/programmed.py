@@ -33,6 +33,11 @@ class ProgrammedVelocity:
         self._learnt = 0
         self._seen = 0
 
+    @property
+    def is_known(self) -> bool:
+        """Whether anything is known of the program."""
+        return self._known is not None
+
     def forget(self) -> None:
         """The program has ended."""
         self._known = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from driver_bench import Bench
 
@@ -117,7 +118,7 @@ def test_play_is_not_pressed_for_a_program_that_somebody_paused_before_the_halt(
         bench.link.tell(runtime_state=4)  # of another one that was begun meanwhile
     report = bench.run(1500)
     assert (report.state, bench.link.plays) == (DriverState.READY, 0)
-    assert report.reason == "clear; but the robot's program is paused; press play"
+    assert "the robot's program is paused" in report.reason
 
 
 def test_a_safety_stop_during_another_halt_does_not_resume_either() -> None:
@@ -163,3 +164,31 @@ def test_a_program_that_does_not_watch_the_heartbeat_is_told_of_at_the_first_hal
 def test_a_program_that_waits_for_the_first_heartbeat_watches_it() -> None:
     bench = Bench(halt=Halt("connection lost"))
     assert bench.run(4000).reason == "connection lost"
+
+
+def test_a_paused_program_that_the_driver_has_not_seen_run_begins_at_rest() -> None:
+    """A driver's successor knows no velocity of it: the slider was at full speed beside whoever pressed play."""
+    bench = Bench(halt=Halt("connection lost"), limiter=LimiterParameters(deadline_s=0.07))
+    standing = np.zeros(6)
+    bench.link.tell(runtime_state=4, qd=standing, target_qd=standing)
+    bench.run(100)
+    bench.acknowledge()
+    report = bench.run(1000)
+    assert (report.state, report.speed_fraction) == (DriverState.READY, 0.0)
+    assert report.reason.endswith("this driver has not seen how it goes on; press play")
+    assert len(bench.link.beats) > 100
+    assert max(bench.link.speeds) == 0.0
+    bench.link.tell(runtime_state=2)
+    told = bench.run(100)
+    assert told.reason == "clear"
+    assert told.speed_fraction is not None and 0 < told.speed_fraction < 0.15
+
+
+def test_a_paused_program_whose_forecasts_stop_halts_for_that() -> None:
+    bench = Bench(halt=Halt("connection lost"))
+    bench.link.tell(runtime_state=4, target_qd=np.zeros(6))
+    bench.run(100)
+    bench.acknowledge()
+    bench.run(200)
+    bench.is_fed = False
+    assert bench.run(200).reason.startswith("stopped: no forecast for")

@@ -80,7 +80,7 @@ class UrDriver:
         self._stepped = now
         try:
             problem = self._look(now)
-            self._told = self._limiter.tick(now)
+            self._told = self._from_rest(self._limiter.tick(now))
             self._judge(problem or self._hunger(now), now)
             self._tell(now, dt)
         except ArmError as error:
@@ -99,6 +99,15 @@ class UrDriver:
             with contextlib.suppress(ArmError):  # the link is gone, the heartbeat too: the robot's program pauses
                 self._link.set_speed(0.0)
         return self.is_braking
+
+    def _from_rest(self, told: Separation) -> Separation:
+        """What the arm is told, unless nobody knows how its paused program goes on: it is to begin at rest then."""
+        is_paused = self._sample is not None and self._sample.is_paused
+        if self._slider is None or not is_paused or self._foresight.is_known or told.speed_fraction == 0:
+            return told
+        self._limiter.rest()
+        reason = "stopped: the robot's program is paused, and this driver has not seen how it goes on; press play"
+        return replace(told, speed_fraction=0.0, reason=reason)
 
     def _look(self, now: int) -> str | None:
         """Take the controller's state; gives back what is wrong with it, in words. Raises `ArmError`: it is gone."""

@@ -19,6 +19,11 @@ class Foresight:
         self._model = model
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the program was ever seen to run: of one that is paused, how it means to go on."""
+        return self._programmed.is_known
+
     def ahead(self, sample: UrSample, received: int, stamp: int) -> JointPath:
         """The next 200 ms from a time on (ns) of an arm that was in the state of a checked sample when that came (ns).
 
