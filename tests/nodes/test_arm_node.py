@@ -368,6 +368,20 @@ def test_an_arm_of_which_only_joints_are_known_does_not_creep_up_to_who_stands_i
     np.testing.assert_array_equal(obeying(cell, stopped, 300), stopped)
 
 
+def test_nor_does_one_that_was_stopped_before_its_node_began() -> None:
+    """It was never seen at a twentieth of its speed, from which on its program was learnt: it crept up to 4 cm."""
+    cell, at = Cell(Timers()), forward_kinematics(MODEL, READY + 0.4 * TURNING)[-1, :3, 3]
+    q, share = READY, 0.0
+    for i in range(300):
+        cell.wait(8)
+        q = q + TURNING * share * 0.008
+        cell.joints(q, TURNING * share)
+        if i % 4 == 0:
+            share = cell.somebody(at=at).speed_fraction
+    assert cell.told[-1].reason == "stopped for MOVING"
+    assert np.abs(q - READY).max() < 0.005
+
+
 def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> None:
     cell = Cell(Timers())
     stopped = obeying(cell, READY, 400)

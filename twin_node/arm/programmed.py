@@ -15,6 +15,8 @@ _STOPPED_NS = 1_500_000_000
 """After so long, ns, the slowest arm of the stopping tables stands: one that moves obeys nobody, or is led by hand."""
 _STANDS = 0.05
 """rad/s: noise of joints that stand, ten times over."""
+_BEGINS = 0.02
+"""rad/s: noise, four times over: an arm of which nothing is known has begun to move."""
 
 
 class ProgrammedVelocity:
@@ -53,7 +55,8 @@ class ProgrammedVelocity:
             self._fell = stamp
         self._share, self._seen = share, stamp
         is_braking = self._known is not None and stamp - min(self._fell, self._learnt) < _BRAKING_NS
-        if share > self._least_share and not is_braking:
+        begins = self._known is None and share > 0 and np.abs(velocities).max() > _BEGINS
+        if begins or (share > self._least_share and not is_braking):
             self._learn(velocities / share, share, stamp)
         elif stamp - self._fell > _STOPPED_NS and np.abs(velocities).max() > _STANDS:
             self._known, self._learnt = velocities, stamp
