@@ -102,6 +102,18 @@ def test_play_is_not_pressed_where_the_program_runs() -> None:
     assert bench.link.plays == 0
 
 
+@pytest.mark.parametrize("held_up_ms", [152, 40])
+def test_play_is_pressed_where_the_drivers_own_lateness_has_paused_the_program(held_up_ms: int) -> None:
+    """Nothing else is wrong then: no halt would ever end that play is pressed after."""
+    bench = Bench(plays=True, resumes=True)
+    bench.run(320)
+    bench.now += held_up_ms * 1_000_000
+    bench.run(12)
+    bench.link.tell(runtime_state=4)
+    bench.run(1000)
+    assert bench.link.plays == (1 if held_up_ms > 100 else 0)
+
+
 @pytest.mark.parametrize("has_ended", [False, True])
 def test_play_is_not_pressed_for_a_program_that_somebody_paused_before_the_halt(has_ended: bool) -> None:
     bench = Bench(plays=True, resumes=True)

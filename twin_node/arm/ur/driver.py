@@ -26,6 +26,10 @@ _SETTLE_S = 0.5
 _LONGEST_LOOK = 3
 """Periods that may pass between two looks at the controller's clock before the rest is the driver's own lateness. A
 servoed arm does not make up for it either: it would be sent all of that way at once."""
+_HELD_UP_S = 0.08
+"""A driver that was held up for so long has left the robot's watchdog, of 10 Hz, without a beat."""
+_PAUSES_S = 0.1
+"""Within this time of its next beat the controller tells of the pause."""
 
 
 class UrDriver:
@@ -57,6 +61,8 @@ class UrDriver:
         self._slider = Slider(link) if self._mode is DriverMode.SLIDER else None
         self._follower: PathFollower | None = None
         self._stepped = now
+        self._held_up: int | None = None
+        """When the driver was last at work again after it had been held up."""
         if self._mode is DriverMode.SERVO and halt is None:
             link.prepare_servo()
 
@@ -76,8 +82,9 @@ class UrDriver:
 
     def step(self, now: int) -> DriverReport:
         """One period. Nothing in it waits for the arm."""
-        dt = min((now - self._stepped) * 1e-9, _LONGEST_LOOK * self._parameters.period_s)
-        self._stepped = now
+        passed_s = (now - self._stepped) * 1e-9
+        dt = min(passed_s, _LONGEST_LOOK * self._parameters.period_s)
+        self._stepped, self._held_up = now, now if passed_s > _HELD_UP_S else self._held_up
         try:
             problem = self._look(now)
             self._told = self._from_rest(self._limiter.tick(now))
@@ -125,7 +132,14 @@ class UrDriver:
             return f"controller silent for {age_s * 1e3:.0f} ms"
         if self._sample is None:
             return None if self._halt is None else self._halt.reason
-        return not_ready(self._sample) or self._disobedience(self._sample, now)
+        return not_ready(self._sample) or self._disobedience(self._sample, now) or self._lapse(self._sample, now)
+
+    def _lapse(self, sample: UrSample, now: int) -> str | None:
+        """Whether the driver's own lateness has just paused the program that it is to press play for, in words."""
+        if self._held_up is None or self._halt is not None or not (self._parameters.plays and self._was_playing):
+            return None
+        is_own = sample.is_paused and (now - self._held_up) * 1e-9 < _PAUSES_S
+        return "the driver was held up: the robot's watchdog has paused its program" if is_own else None
 
     def _disobedience(self, sample: UrSample, now: int) -> str | None:
         """Whether the arm does what it is told, in words where not."""
