@@ -252,10 +252,17 @@ def test_an_arm_of_seven_joints_gets_a_speed(ur5e_checker: ArmCollisionChecker, 
     assert slowed[0.3] < slowed[0.45] < slowed[2.0] == 1.0
 
 
+def test_a_law_that_nothing_is_fast_enough_for_is_refused() -> None:
+    """10, millimetres by what was meant, let an arm close in on anybody at less than 10 m/s."""
+    with pytest.raises(ArmError, match=r"separation: closing_speed: expected 0 to 0\.25, found 10"):
+        SeparationParameters(closing_speed=10.0)
+
+
 @pytest.mark.parametrize("name", ["human_speed", "intrusion_m", "clearance_m", "position_error_m", "closing_speed"])
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
 def test_constants_that_no_law_has_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ArmError, match=f"{name}: expected a number of 0 or more, found {value:g}"):
+    expected = "0 to 0.25" if name == "closing_speed" else "a number of 0 or more"
+    with pytest.raises(ArmError, match=f"{name}: expected {expected}, found {value:g}"):
         SeparationParameters(**{name: value})
 
 

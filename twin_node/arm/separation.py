@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.stopping import Stop, StoppingTable
-from twin_node.ranges import NOT_NEGATIVE, check_ranges
+from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.scene import Bool, Float64, ObstacleKind
 
 _BISECTIONS = 10
 """Halvings of the speed share's interval: exact to 0.1 %."""
+_LARGEST_CLOSING = 0.25
+"""m/s, what ISO 10218-1 calls reduced speed: a law for nothing slower is none. Who gives more means millimetres."""
 _SAME_LAYER_NS = 25_000_000
 """Obstacles whose validity ends this close together belong to one layer: half the step of the forecast's horizons."""
 
@@ -56,7 +58,7 @@ class SeparationParameters:
     unknown: UnknownPolicy = UnknownPolicy.LAW
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for a constant that is negative or not finite."""
+        """Raises `ArmError` for a constant that is negative or not finite, and for a law that holds for nothing."""
         check_ranges(
             self,
             ArmError,
@@ -65,7 +67,7 @@ class SeparationParameters:
             intrusion_m=NOT_NEGATIVE,
             clearance_m=NOT_NEGATIVE,
             position_error_m=NOT_NEGATIVE,
-            closing_speed=NOT_NEGATIVE,
+            closing_speed=Range(0, _LARGEST_CLOSING),
         )
 
 
