@@ -125,6 +125,30 @@ def test_a_camera_that_comes_back_is_waited_for_again() -> None:
     assert not sync.report.inputs[1].silent
 
 
+@pytest.mark.parametrize(("lag_ms", "returns"), [(40, True), (75, True), (95, False), (250, False)])
+def test_a_camera_of_a_slower_link_that_comes_back_is_waited_for_again(lag_ms: int, returns: bool) -> None:
+    """Meanwhile the others' sets go out at once, and all that it sends is of before the last of them."""
+    sync = ApproximateTimeSynchronizer[None](["a", "slow link"], SyncParameters(deadline_ns=100 * MS))
+    arrivals = [(k * 33 * MS, "a", k) for k in range(90)]
+    arrivals += [((k * 33 + lag_ms) * MS, "slow link", k) for k in range(90) if not 30 <= k < 36]
+    complete = []
+    for now, name, k in sorted(arrivals):
+        complete += [None not in s.members for s in sync.add(name, k * 33 * MS, None, now)]
+    assert complete[20:25] == [lag_ms < 100] * 5
+    assert complete[-30:] == [returns] * 30
+
+
+@pytest.mark.parametrize("behind_ms", [990_000, 300])
+def test_a_clock_that_is_behind_is_not_taken_for_a_slower_link(behind_ms: int) -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], SyncParameters(deadline_ns=100 * MS))
+    waits = []
+    for k in range(60):
+        t = (1_000_000 + k * 33) * MS
+        waits += [t - s.stamp for s in sync.add("a", t, None, now=t)]
+        sync.add("b", t - behind_ms * MS, None, now=t + MS)
+    assert waits[-40:] == [0] * 40
+
+
 def test_a_camera_slower_than_the_deadline_does_not_hold_up_the_others() -> None:
     sync = ApproximateTimeSynchronizer[None](["a", "slow"], SyncParameters(deadline_ns=100 * MS))
     waits = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import Generic, TypeVar
 
 from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
@@ -15,6 +16,9 @@ T = TypeVar("T")
 
 PERIODS_KEPT = 8
 """Periods that a camera's rate is learned from: few enough to follow a change of rate within a quarter of a second."""
+RETURN_SHARE = 0.8
+"""A camera whose images come late is waited for again if that takes at most this share of the deadline: at the deadline
+itself every other image would miss it."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,14 @@ class SyncSet(Generic[T]):
     """In the order of the inputs; None where a silent camera is missing."""
 
 
+class _Fate(Enum):
+    """What becomes of an image that comes."""
+
+    KEPT = "kept"
+    LATE = "late"
+    REFUSED = "refused"
+
+
 @dataclass
 class _Input:
     """What is remembered of one camera's stream."""
@@ -91,7 +103,9 @@ class _Input:
     used: int | None = None
     """Stamp of the last image that went out, ns."""
     arrival: int | None = None
-    """When the last image that was admitted came, ns."""
+    """When the last image came that was kept or late, ns."""
+    lag: int | None = None
+    """From that image's stamp to its arrival, ns."""
     periods: deque[int] = field(default_factory=lambda: deque(maxlen=PERIODS_KEPT))
 
     def count(self, **more: int) -> None:
@@ -159,10 +173,12 @@ class ApproximateTimeSynchronizer(Generic[T]):
             raise RigError(f"synchroniser: expected one of the inputs {', '.join(self.inputs)}, found {name!r}")
         i = self._index[name]
         expired = self.poll(now)
-        if not self._admit(self._inputs[i], stamp, now):
+        fate = self._admit(self._inputs[i], stamp, now)
+        takes_part = fate is not _Fate.REFUSED and self._takes_part(i, stamp, now, fate)
+        if fate is not _Fate.KEPT:
             return expired
         self._learn_period(i, stamp)
-        if not self._takes_part(i, now):
+        if not takes_part:
             self._inputs[i].count(unmatched=1)
             return expired
         return expired + self._emit(self._policy.add(i, Stamped(stamp, payload, now)))
@@ -180,7 +196,7 @@ class ApproximateTimeSynchronizer(Generic[T]):
             ready += self._emit(self._policy.force())
         return ready
 
-    def _admit(self, state: _Input, stamp: int, now: int) -> bool:
+    def _admit(self, state: _Input, stamp: int, now: int) -> _Fate:
         """Whether an image may join the queue; counts it either way."""
         tolerance = self.parameters.future_tolerance_ns
         future = tolerance is not None and stamp - now > tolerance
@@ -190,7 +206,7 @@ class ApproximateTimeSynchronizer(Generic[T]):
         kept = not (future or duplicate or late)
         unsorted = kept and state.newest is not None and stamp < state.newest
         state.count(received=1, future=future, duplicate=duplicate, late=late, unsorted=unsorted)
-        return kept
+        return _Fate.KEPT if kept else _Fate.LATE if late else _Fate.REFUSED
 
     def _learn_period(self, i: int, stamp: int) -> None:
         state, p = self._inputs[i], self.parameters
@@ -199,13 +215,20 @@ class ApproximateTimeSynchronizer(Generic[T]):
         if not p.min_period_ns:
             self._policy.min_period[i] = int(p.period_share * state.shortest_period)
 
-    def _takes_part(self, i: int, now: int) -> bool:
-        """Whether sets need an input; one that was left out is back once two of its images came within a deadline."""
-        previous, self._inputs[i].arrival = self._inputs[i].arrival, now
+    def _takes_part(self, i: int, stamp: int, now: int, fate: _Fate) -> bool:
+        """Whether sets need an input; one that was left out is back once two of its images came within a deadline.
+
+        Sets do not wait for who is left out, so that all images of a slower link come late: they count as long as they
+        come soon enough after the others' to be waited for.
+        """
+        state, deadline = self._inputs[i], self.parameters.deadline_ns
+        previous, state.arrival, state.lag = state.arrival, now, now - stamp
         if i in self._policy.active:
             return True
-        deadline = self.parameters.deadline_ns
         steady = previous is not None and deadline is not None and now - previous < deadline
+        if steady and fate is _Fate.LATE:
+            lags = [lag for j in self._policy.active if (lag := self._inputs[j].lag) is not None]
+            steady = state.lag - min(lags, default=state.lag) <= RETURN_SHARE * (deadline or 0)
         if steady:
             self._policy.activate(i)
         return steady
