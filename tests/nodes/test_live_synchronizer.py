@@ -77,7 +77,9 @@ class Fault:
 class Cell:
     """Three cameras and a live synchroniser in a time of the test's own."""
 
-    def __init__(self, parameters: SynchronizerParameters | None = None) -> None:
+    def __init__(self, parameters: SynchronizerParameters | None = None, apart: int = MS, period: int = PERIOD) -> None:
+        """`apart`: between the exposures of a camera and the next, ns."""
+        self._apart, self._period = apart, period
         K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
         rig = Rig(tuple(RigCamera(name, 16, 12, K, np.eye(4)) for name in NAMES))
         parameters = parameters or SynchronizerParameters()
@@ -111,7 +113,7 @@ class Cell:
             for place, name in enumerate(NAMES):
                 fault = faults.get(name, Fault())
                 if fault.keeps(i):
-                    taken = START + i * PERIOD + place * MS
+                    taken = START + i * self._period + place * self._apart
                     yield taken + 5 * MS + fault.arrival_delay, taken + fault.stamp_shift, name
 
     def said(self) -> dict[str, tuple[Level, str]]:
@@ -222,6 +224,34 @@ def test_a_clock_that_steps_is_named_and_taken_back(cell: Cell, shift: int, word
     cell.run(4 * SECOND, SECOND)
     assert cell.said()["front"][0] is Level.OK
     assert len(cell.sets[-1].views) == 3
+
+
+def test_cameras_whose_images_are_too_far_apart_for_a_set_are_named() -> None:
+    """Three at 10 Hz that run free: no set came, and all of them were said to be in step."""
+    cell = Cell(apart=33 * MS, period=100 * MS)
+    cell.run(0, SECOND)
+    cell.said()
+    cell.run(SECOND, SECOND)
+    assert cell.sets == []
+    for level, message in cell.said().values():
+        assert level is Level.WARN
+        assert "in no set: 30 images came when the other cameras' were too far away" in message
+
+
+def test_depth_that_comes_with_other_stamps_is_named() -> None:
+    K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+    topics = topics_of("front", RigParameters(image="image_raw", depth="depth/image_rect"))
+    bus, clock = LocalBus(), Clock()
+    rig = Rig((RigCamera("front", 16, 12, K, np.eye(4)),))
+    node = SynchronizerNode(bus, clock, (topics,), rig, SynchronizerParameters(), Timers(clock))
+    node.configure()
+    for i in range(SECOND):
+        stamp = START + i * PERIOD
+        clock.stamp = stamp + 5 * MS
+        bus.publish(topics.image, convert.raw_image("front", stamp, np.full((12, 16, 3), 90, np.uint8)))
+        depth = convert.depth_image("front", stamp + 16 * MS, np.ones((12, 16), np.float32))
+        bus.publish(topics.depth or "", depth)
+    assert "no depth: it came with 0 of 30 images" in node.diagnoses()[0].message
 
 
 def test_duplicates_are_counted_and_named(cell: Cell) -> None:

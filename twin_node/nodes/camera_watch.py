@@ -56,7 +56,10 @@ class CameraWatch:
         self._seen[camera].lags.append(arrival - stamp)
         if with_depth:
             self._seen[camera].depths += 1
-            self._measuring.add(camera)
+
+    def add_depth(self, camera: str) -> None:
+        """Takes note that a camera measures depth, whether or not its images can be paired with those of colour."""
+        self._measuring.add(camera)
 
     def add_unusable(self, camera: str, why: str) -> None:
         """Takes note of an image that its set goes without."""
@@ -101,9 +104,18 @@ class CameraWatch:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
         depths = self._seen[totals.name].depths
         if totals.name in self._measuring and depths < SLOW_SHARE * count:
-            faults.append(f"no depth: it came with {depths} of {count} images; look at the depth camera")
+            faults.append(
+                f"no depth: it came with {depths} of {count} images; look at the depth camera, and whether its images "
+                "have the stamps of the colour images and come at most 60 ms after them"
+            )
         if unusable := self._seen[totals.name].unusable:
             faults.append(f"unusable: {len(unusable)} images, the last: {unusable[-1]}")
+        apart = totals.unmatched - before.unmatched
+        if totals.used == before.used and 2 * apart > count:
+            faults.append(
+                f"in no set: {apart} images came when the other cameras' were too far away; let the cameras be "
+                "triggered together or faster, or raise the synchronizer's grouping.max_interval_ns or deadline_ns"
+            )
         for key, meaning in COUNTED:
             more = getattr(totals, key) - getattr(before, key)
             if more > 0:

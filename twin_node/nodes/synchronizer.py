@@ -136,6 +136,7 @@ class SynchronizerNode(Node):
             self._add(name, view)
 
     def _on_depth(self, name: str, message: Message) -> None:
+        self._watch.add_depth(name)
         for view in self._pairs[name].add_depth(message):
             self._add(name, view)
 
