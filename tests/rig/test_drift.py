@@ -268,3 +268,63 @@ def test_a_camera_that_crept_out_of_place_is_left_out_and_says_how(recording: tu
     assert only(last).verdict is Verdict.BUMPED
     assert only(last).slow
     assert "crept" in only(last).message
+
+
+def hung(recording: tuple[FrameSet, ...], from_s: float, until_s: float, depth_alone: bool = False) -> list[FrameSet]:
+    """The recording with the images of the second camera as they were at a time until another."""
+    shown: list[View] = []
+
+    def edit(i: int, view: View, t: float) -> View:
+        if i != 1 or not from_s <= t < until_s:
+            return view
+        shown.append(view)
+        return replace(view, rgb=view.rgb if depth_alone else shown[0].rgb.copy(), depth=shown[0].depth)
+
+    return list(edited(recording, edit))
+
+
+@pytest.mark.parametrize("depth_alone", [False, True])
+def test_a_camera_that_hangs_is_left_out_from_the_second_repeat_until_it_goes_on(
+    recording: tuple[FrameSet, ...], depth_alone: bool
+) -> None:
+    """A person who came meanwhile was in none of its images: the space was reported free."""
+    sets = hung(recording, 1.0, 1.5, depth_alone)
+    said = reports(sets)
+    name = recording[0].views[1].camera.name
+    stands = [1.0 <= (frames.stamp - recording[0].stamp) / 1e9 < 1.5 for frames in sets]
+    first = stands.index(True)
+    expected = [(name,) if stands[i] and i >= first + 2 else () for i in range(len(sets))]
+    assert [report.distrusted for report in said] == expected
+    assert "hangs, it sends the same image again and again" in said[first + 2].warnings[0]
+    assert said[first + 2].drifts[1].since == sets[first].views[1].stamp
+
+
+def test_a_camera_that_hung_before_the_start_is_told_by_the_others_noise(recording: tuple[FrameSet, ...]) -> None:
+    said = reports(hung(recording, 0.0, 9.0))
+    assert said[-1].distrusted == (recording[0].views[1].camera.name,)
+
+
+def without_noise(view: View) -> View:
+    return replace(view, rgb=np.asarray(cv2.medianBlur(view.rgb, 5) // 32 * 32, np.uint8), depth=None)
+
+
+def test_images_without_noise_may_be_alike(recording: tuple[FrameSet, ...]) -> None:
+    """Simulated ones, and videos whose coder skips what stands: where nothing moves nothing changes."""
+    still = replace(recording[0], views=tuple(map(without_noise, recording[0].views)))
+    sets = [replace(still, stamp=still.stamp + i * 33_000_000) for i in range(60)]
+    assert not any(report.warnings for report in reports(sets))
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_images_that_are_sent_again_to_keep_a_rate_are_no_hang(recording: tuple[FrameSet, ...], every: int) -> None:
+    sets = [replace(f, views=recording[i - i % every % 2].views) for i, f in enumerate(recording)]
+    assert not any(report.distrusted for report in reports(sets))
+
+
+def test_black_images_are_no_hang(recording: tuple[FrameSet, ...]) -> None:
+    """What cannot be seen is not freed; a lens that is covered is told otherwise."""
+
+    def black(_: int, view: View, t: float) -> View:
+        return replace(view, rgb=np.zeros_like(view.rgb), depth=None) if t > 1 else view
+
+    assert Verdict.FROZEN not in {v for report in reports(edited(recording, black)) for v in report.verdicts}

@@ -22,6 +22,7 @@ _LEVELS = {
     Verdict.DRIFTING: convert.Level.WARN,
     Verdict.BUMPED: convert.Level.ERROR,
     Verdict.LOST: convert.Level.ERROR,
+    Verdict.FROZEN: convert.Level.ERROR,
 }
 
 
@@ -30,7 +31,7 @@ _WATCHES: WeakKeyDictionary[SystemClock, DriftWatch] = WeakKeyDictionary()
 
 
 class DriftNode(Node):
-    """Takes the images of cameras that have moved out of every set, and says which.
+    """Takes the images of cameras that have moved, or hang, out of every set, and says which.
 
     What such a camera alone saw is unknown from then on. A set that no trusted camera is left of is not passed on:
     forecasts stop, and who depends on them slows and stops.

@@ -11,6 +11,7 @@ import numpy as np
 from twin_node.ranges import NOT_NEGATIVE, POSITIVE, Range, check_ranges
 from twin_node.rig.errors import RigError
 from twin_node.rig.landmarks import INLIER_PX, CommonMotion, Landmarks, contrast, features_of, found, tracked
+from twin_node.rig.repeats import Streams
 from twin_node.scene import Bool, Camera, Float64, FrameSet, UInt8
 
 STANDING_PART = 0.5
@@ -77,6 +78,8 @@ class Verdict(IntEnum):
     """Not where it was calibrated: its images must not be used."""
     LOST = 4
     """Nothing that stood is in sight, what is stands as well: turned away or covered. Its images must not be used."""
+    FROZEN = 5
+    """Sends the same image again and again under new stamps: what it shows is past. Its images must not be used."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class Drift:
     @property
     def trusted(self) -> bool:
         """Whether the camera's images may be used."""
-        return self.verdict not in (Verdict.BUMPED, Verdict.LOST)
+        return self.verdict not in (Verdict.BUMPED, Verdict.LOST, Verdict.FROZEN)
 
     @property
     def message(self) -> str:
@@ -146,6 +149,7 @@ _MESSAGES = {
     Verdict.DRIFTING: "creeps out of place: run `twin_node calibrate refine` on a recording of today",
     Verdict.BUMPED: "has moved: its images are left out; put it back, or calibrate it anew",
     Verdict.LOST: "sees nothing of what stood before it, turned away or covered: its images are left out; free it",
+    Verdict.FROZEN: "hangs, it sends the same image again and again: its images are left out; restart it or its driver",
 }
 _ALONE = {
     True: ": what it does not see is unknown",
@@ -163,7 +167,8 @@ def _none_left(drifts: Sequence[Drift]) -> str:
             "put it back, or calibrate anew and restart"
         )
     return (
-        "no camera is to be trusted: each has moved, is covered or turned away; nothing is published; free their views"
+        "no camera is to be trusted: each has moved, hangs, is covered or turned away; nothing is published; free "
+        "their views, and restart those that hang"
     )
 
 
@@ -172,7 +177,8 @@ class DriftWatch:
 
     Light, people and the arm move no camera: brightness is taken out, and the parts of the image vote. A camera that
     nothing can be said of stays off where it was off, else it becomes UNSURE. One that comes with another calibration
-    is watched anew; make another watch when the cell was rearranged.
+    is watched anew; make another watch when the cell was rearranged. A camera that hangs is named too: its image would
+    show for ever that nobody has come.
     """
 
     def __init__(self, parameters: DriftParameters | None = None) -> None:
@@ -189,14 +195,23 @@ class DriftWatch:
             if watched is None or not _is_same(watched.camera, view.camera):
                 landmarks = Landmarks(contrast(view.rgb), view.valid, view.camera.K)
                 watched = _Watched(view.camera, landmarks, view.stamp, view.depth is not None)
+                watched.streams.take(view)
                 self._cameras[view.camera.name] = watched
                 continue
             watched.measures_depth |= view.depth is not None
             if view.stamp < watched.checked:
                 watched.put_back(watched.checked - view.stamp)
+            watched.streams.take(view)
             if view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
                 watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters)
-        return DriftReport(frames.stamp, tuple(watched.drift for watched in self._cameras.values()))
+        return DriftReport(frames.stamp, tuple(map(self._drift_of, self._cameras.values())))
+
+    def _drift_of(self, watched: _Watched) -> Drift:
+        """What to say of a camera: that it hangs goes before where it stands, which is not known then."""
+        others = [other.streams for other in self._cameras.values() if other is not watched]
+        if not watched.streams.hang(others):
+            return watched.drift
+        return replace(watched.drift, verdict=Verdict.FROZEN, since=watched.streams.since, slow=False)
 
 
 @dataclass
@@ -218,6 +233,7 @@ class _Watched:
     suspected_since: int = 0
     creep: _Creep = field(init=False)
     still: _Stillness = field(init=False)
+    streams: Streams = field(default_factory=Streams)
 
     def __post_init__(self) -> None:
         name, count = self.camera.name, len(self.landmarks)
@@ -232,6 +248,7 @@ class _Watched:
         self.drift = replace(self.drift, since=self.drift.since - by)
         self.creep.put_back(by)
         self.still.put_back(by)
+        self.streams.since -= by
 
     def check(self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters) -> None:
         """Compares an image with the landmarks and remembers the verdict."""
