@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,3 +30,17 @@ def test_a_rig_that_is_not_tied_to_the_robot_drives_no_arm(tmp_path: Path, frame
 def test_a_rig_in_the_base_is_taken(tmp_path: Path, frame: str) -> None:
     save_rig(RigFile(Rig((CAMERA,)), frame=frame), tmp_path / "rig.yaml")
     assert read_rig(RigParameters(file=str(tmp_path / "rig.yaml"))).cameras[0].name == "left"
+
+
+@pytest.mark.parametrize(("reference_s", "live"), [(11, False), (1_767_312_000, True)])
+@pytest.mark.parametrize("rate_ppm", [0.0, 3.0])
+def test_clocks_of_a_recording_that_counts_from_its_start_are_not_those_of_live_images(
+    tmp_path: Path, reference_s: int, live: bool, rate_ppm: float
+) -> None:
+    """As `calibrate rig` writes them of videos: by a few ppm all but the first camera were hours off, and left out."""
+    clock = (250_000_000, rate_ppm, reference_s * 10**9)
+    camera = replace(CAMERA, **dict(zip(("time_offset_ns", "time_rate_ppm", "time_reference_ns"), clock, strict=True)))
+    save_rig(RigFile(Rig((camera,))), tmp_path / "rig.yaml")
+    (read,) = read_rig(RigParameters(file=str(tmp_path / "rig.yaml"))).rig.cameras
+    stamp = 1_767_312_000 * 10**9
+    assert read.rig_time(stamp) == stamp + (250_000_000 if live else 0)

@@ -290,7 +290,7 @@ def test_what_is_saved_is_read_back(
 ) -> None:
     folder = tmp_path_factory.mktemp("rig")
     T = pose(rotation_from_quat(np.array(quat)), np.array(centre))
-    clock = (offset_ns, rate_ppm, reference_s * 10**9 if rate_ppm else 0)
+    clock = (offset_ns, rate_ppm, reference_s * 10**9)
     camera = RigCamera("only", 320, 240, np.array(K), T, "rational_polynomial", np.array(D), sigma_m, *clock)
     source = VideoSource("only", folder / "films" / "a.mp4", StampsFile(folder / "b.json", "t", "ns"))
     saved = RigFile(Rig((camera,), np.array([[0.0, 0, 0], [1, 1, 1]])), (source,), "world", "today", notes)

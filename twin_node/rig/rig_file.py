@@ -266,6 +266,7 @@ def _camera_entry(camera: RigCamera, source: VideoSource | None, folder: Path) -
     }
     if camera.time_rate_ppm:
         entry["time_rate_ppm"] = camera.time_rate_ppm
+    if camera.time_rate_ppm or camera.time_reference_ns:
         entry["time_reference"] = camera.time_reference_ns / 1e9
     if source is not None:
         entry["video"] = _relative(source.video, folder)

@@ -37,7 +37,7 @@ class RigCamera:
     time_rate_ppm: float = 0.0
     """How fast the offset grows, parts per million of the camera's own time."""
     time_reference_ns: int = 0
-    """Stamp of the camera at which the offset is `time_offset_ns`; of no matter where the rate is 0."""
+    """Stamp of the camera at which the offset is `time_offset_ns`; where the rate is 0 it tells the clock alone."""
 
     def rig_time(self, stamp: int) -> int:
         """The rig's time, ns, of a stamp of the camera's own clock, ns."""

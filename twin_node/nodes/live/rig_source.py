@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
 from twin_node.scene import Float64, Rig
+
+SINCE_1970_NS = 1_000_000_000_000_000_000
+"""Stamps above this (the year 2001) count from 1970, as live ones do; below it from the start of a recording."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,12 @@ class RigSource:
 
 
 def read_rig(parameters: RigParameters) -> RigSource:
-    """The rig and its topics. Raises `GraphError`, `RigError`, `BagError` or `CellError` for what is wrong with it."""
+    """The rig and its topics.
+
+    Of a rig file clocks that were timed in a recording whose stamps count from its own start are left out: live stamps
+    count from 1970, and a rate of one part per million would put them off by half an hour.
+    Raises `GraphError`, `RigError`, `BagError` or `CellError` for what is wrong with it.
+    """
     if parameters.log:
         from twin_node.nodes.calibration import load_base_rig
         from twin_node.nodes.log_source import LogSession
@@ -54,8 +62,18 @@ def read_rig(parameters: RigParameters) -> RigSource:
     else:
         from twin_node.nodes.calibration import load_base_rig
 
-        rig = load_base_rig(Path(parameters.file))
+        rig = _on_live_clocks(load_base_rig(Path(parameters.file)))
     return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))
+
+
+def _on_live_clocks(rig: Rig) -> Rig:
+    cameras = (
+        replace(camera, time_offset_ns=0, time_rate_ppm=0.0, time_reference_ns=0)
+        if camera.time_reference_ns and camera.time_reference_ns < SINCE_1970_NS
+        else camera
+        for camera in rig.cameras
+    )
+    return replace(rig, cameras=tuple(cameras))
 
 
 def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:

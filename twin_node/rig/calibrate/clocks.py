@@ -85,7 +85,7 @@ class CameraClock:
             camera,
             time_offset_ns=self.reference_ns + self.offset_ns - own,
             time_rate_ppm=both * 1e6,
-            time_reference_ns=own if both else 0,
+            time_reference_ns=own,
         )
 
 

@@ -24,6 +24,9 @@ WITNESSES = 24
 LEAST_DEPTH_M = 0.05
 """Nothing is seen nearer than this."""
 
+CERTAIN_SIGMAS = 2
+"""A clock's rate is written where it is more than so many of its errors: what noise adds would grow day by day."""
+
 BASE_TOLERANCE_S = 0.5
 """A board that lies still is taken for seen at a time where an image shows it so near to that."""
 
@@ -88,8 +91,8 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
                 lens.D,
                 float(sigmas[i]),
                 round(float(state.clocks[i, 0]) * 1e9),
-                float(state.clocks[i, 1]) * 1e6,
-                solution.reference_ns if state.clocks[i, 1] else 0,
+                float(state.clocks[i, 1]) * 1e6 if abs(state.clocks[i, 1]) >= CERTAIN_SIGMAS * clocks[i, 1] else 0.0,
+                solution.reference_ns if state.clocks[i].any() else 0,
             )
         )
         figures = residuals_of(camera_residuals(solution, i))
