@@ -299,6 +299,15 @@ def test_a_camera_that_hangs_is_left_out_from_the_second_repeat_until_it_goes_on
     assert said[first + 2].drifts[1].since == sets[first].views[1].stamp
 
 
+def test_a_camera_whose_depth_hung_and_then_ends_is_used_for_its_colour(recording: tuple[FrameSet, ...]) -> None:
+    sets = hung(recording, 1.0, 1.5, depth_alone=True)
+    ends = recording[0].stamp + 1_400_000_000
+    sets = [replace(f, views=tuple(replace(v, depth=None) for v in f.views)) if f.stamp > ends else f for f in sets]
+    said = reports(sets)
+    assert any(report.distrusted for report in said)
+    assert not said[-1].distrusted
+
+
 def test_a_camera_that_hung_before_the_start_is_told_by_the_others_noise(recording: tuple[FrameSet, ...]) -> None:
     said = reports(hung(recording, 0.0, 9.0))
     assert said[-1].distrusted == (recording[0].views[1].camera.name,)

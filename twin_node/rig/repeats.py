@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin_node.scene import Float32, UInt8, View
+from twin_node.scene import Bool, Float32, UInt8, View
 
 REPEATS = 2
 """Images in a row like the one before them that are no accident: to keep a rate, some cameras send each image twice."""
@@ -31,8 +31,9 @@ class Repeats:
     _last: UInt8 | Float32 | None = None
 
     def take(self, image: UInt8 | Float32 | None) -> None:
-        """The next image [H, W, ...]; None where this one has none."""
+        """The next image [H, W, ...]; None where this one has none: what is not sent shows nothing that is past."""
         if image is None:
+            self.repeats = 0
             return
         before, self._last = self._last, image
         if before is None or before.shape != image.shape:
@@ -77,9 +78,9 @@ class Streams:
         )
 
 
-def _all_over(differs: np.ndarray) -> bool:
+def _all_over(differs: Bool) -> bool:
     """Whether half of the image's parts hold pixels [H, W, ...] that differ."""
     pixels = differs.any(axis=2) if differs.ndim == 3 else differs
     parts = [part for row in np.array_split(pixels, PARTS) for part in np.array_split(row, PARTS, axis=1)]
-    noisy = [part.size > 0 and part.mean() >= NOISY_SHARE for part in parts]
+    noisy = [bool(part.size) and float(part.mean()) >= NOISY_SHARE for part in parts]
     return 2 * sum(noisy) >= len(noisy)
