@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,3 +53,13 @@ def test_a_drifting_clock_is_corrected_by_offset_and_rate(log: Path) -> None:
         steady, drifting = (view.stamp for view in frames.views)
         assert abs(steady - drifting) <= 20  # the resolution of a float of 100 s in ns
         assert frames.views[0].rgb.mean() == pytest.approx(frames.views[1].rgb.mean(), abs=2)
+
+
+def test_clocks_of_videos_that_count_from_their_start_are_not_put_on_a_log(log: Path) -> None:
+    """As `calibrate rig` writes them: the log's images of that camera were hours off, and all sets without it."""
+    steady, drifting = a_rig().cameras
+    other = replace(drifting, time_reference_ns=11_000_000_000)
+    with LogSession(log, Rig((steady, other))) as session:
+        assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, 0]
+    with LogSession(log, Rig((steady, drifting))) as session:
+        assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, OFFSET_NS]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
 from twin_node.scene import Float64, Rig
-
-SINCE_1970_NS = 1_000_000_000_000_000_000
-"""Stamps above this (the year 2001) count from 1970, as live ones do; below it from the start of a recording."""
 
 
 @dataclass(frozen=True)
@@ -60,20 +57,10 @@ def read_rig(parameters: RigParameters) -> RigSource:
 
         rig = make_rig(load_scenario(parameters.scenario))
     else:
-        from twin_node.nodes.calibration import load_base_rig
+        from twin_node.nodes.calibration import load_base_rig, without_other_clocks
 
-        rig = _on_live_clocks(load_base_rig(Path(parameters.file)))
+        rig = without_other_clocks(load_base_rig(Path(parameters.file)), since_1970=True)
     return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))
-
-
-def _on_live_clocks(rig: Rig) -> Rig:
-    cameras = (
-        replace(camera, time_offset_ns=0, time_rate_ppm=0.0, time_reference_ns=0)
-        if camera.time_reference_ns and camera.time_reference_ns < SINCE_1970_NS
-        else camera
-        for camera in rig.cameras
-    )
-    return replace(rig, cameras=tuple(cameras))
 
 
 def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
