@@ -329,10 +329,10 @@ def _session(options: argparse.Namespace) -> LogSession:
 
 
 def _given(options: argparse.Namespace, rig: Rig) -> RigFile:
-    """The rig file to write anew: the one given, else one for the log's own rig."""
+    """The rig file to write anew: the one given, with what was taken of its rig, else one for the log's own rig."""
     from twin_node.rig import RigFile, load_rig
 
-    return load_rig(options.rig) if options.rig else RigFile(rig)
+    return replace(load_rig(options.rig), rig=rig) if options.rig else RigFile(rig)
 
 
 def _gap(pair: PairFigures) -> str:
