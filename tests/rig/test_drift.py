@@ -215,6 +215,21 @@ def test_a_camera_turned_so_far_that_nothing_is_found_again_is_lost(recording: t
     assert said[-1].distrusted == (recording[0].views[1].camera.name,)
 
 
+def test_cameras_that_change_places_are_told_at_once_by_what_the_other_saw(recording: tuple[FrameSet, ...]) -> None:
+    """USB devices that are numbered anew: for 3.4 s their images were used in each other's place."""
+    places = {1: 2, 2: 1}
+    sets = []
+    for frames in recording:
+        late = frames.stamp - recording[0].stamp > BUMPED_AT_S * 1e9
+        shown = [frames.views[places.get(i, i) if late else i] for i in range(len(frames.views))]
+        views = zip(frames.views, shown, strict=True)
+        sets.append(replace(frames, views=tuple(replace(v, rgb=s.rgb, depth=s.depth) for v, s in views)))
+    said = reports(sets)
+    first = next(report for report in said if report.distrusted)
+    assert (first.stamp - recording[0].stamp) / 1e9 - BUMPED_AT_S <= 1.0
+    assert said[-1].distrusted == tuple(view.camera.name for view in recording[0].views[1:])
+
+
 def test_when_all_cameras_move_what_they_look_at_has(recording: tuple[FrameSet, ...]) -> None:
     last = reports(turned(recording, range(3), AXES[0], 1.0))[-1]
     assert len(last.distrusted) == 3

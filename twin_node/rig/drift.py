@@ -77,7 +77,8 @@ class Verdict(IntEnum):
     BUMPED = 3
     """Not where it was calibrated: its images must not be used."""
     LOST = 4
-    """Nothing that stood is in sight, what is stands as well: turned away or covered. Its images must not be used."""
+    """Nothing that stood is in sight, and what is stands as well, or is what another camera saw: turned away, covered,
+    or its device has changed places. Its images must not be used."""
     FROZEN = 5
     """Sends the same image again and again under new stamps: what it shows is past. Its images must not be used."""
 
@@ -148,7 +149,7 @@ _MESSAGES = {
     Verdict.UNSURE: "sees too little of what stands still to tell whether it has moved",
     Verdict.DRIFTING: "creeps out of place: run `twin_node calibrate refine` on a recording of today",
     Verdict.BUMPED: "has moved: its images are left out; put it back, or calibrate it anew",
-    Verdict.LOST: "sees nothing of what stood before it, turned away or covered: its images are left out; free it",
+    Verdict.LOST: "sees nothing of what stood there, turned away, covered or swapped: its images are left out; free it",
     Verdict.FROZEN: "hangs, it sends the same image again and again: its images are left out; restart it or its driver",
 }
 _ALONE = {
@@ -203,7 +204,8 @@ class DriftWatch:
                 watched.put_back(watched.checked - view.stamp)
             watched.streams.take(view)
             if view.stamp - watched.checked >= self._parameters.period_ms * 1e6:
-                watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters)
+                others = [other.landmarks for other in self._cameras.values() if other is not watched]
+                watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters, others)
         return DriftReport(frames.stamp, tuple(map(self._drift_of, self._cameras.values())))
 
     def _drift_of(self, watched: _Watched) -> Drift:
@@ -250,13 +252,19 @@ class _Watched:
         self.still.put_back(by)
         self.streams.since -= by
 
-    def check(self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters) -> None:
-        """Compares an image with the landmarks and remembers the verdict."""
+    def check(
+        self, image: UInt8, valid: Bool | None, stamp: int, parameters: DriftParameters, others: Sequence[Landmarks]
+    ) -> None:
+        """Compares an image with the landmarks, or else with other cameras', and remembers the verdict."""
         seconds, self.checked = (stamp - self.checked) / 1e9, stamp
         now = self.landmarks.found_in(image)
         motion = self.landmarks.motion(now, parameters.least_features, parameters.least_share)
         if motion is None:
-            self._judge_blind(image, valid, stamp, parameters, int(found(now).sum()))
+            features, least, share = int(found(now).sum()), parameters.least_features, parameters.least_share
+            if features < least and any(other.stand_in(image, least, share) for other in others):
+                self._conclude(Verdict.LOST, 0, stamp, parameters)
+            else:
+                self._judge_blind(image, valid, stamp, parameters, features)
         else:
             self.still.forget()
             self._judge_motion(motion, stamp, seconds, parameters)

@@ -97,6 +97,15 @@ class Landmarks:
             return self._measured(home, home + np.median(there - home, axis=0))
         return None
 
+    def stand_in(self, image: UInt8, least_features: int, least_share: float) -> bool:
+        """Whether an image, of whatever camera, shows the landmarks where they are at home."""
+        if image.shape != self.reference.shape:
+            return False
+        now = self.found_in(image)
+        seen = found(now)
+        standing = np.linalg.norm(now[seen] - self.home[seen], axis=1) < INLIER_PX
+        return int(standing.sum()) >= least_features and self._share(standing, self.home[seen]) >= least_share
+
     def drop_strays(self, now: Float32) -> None:
         """Landmarks that move while much of the image stands are none; call it while the camera is steady."""
         seen = found(now)
