@@ -130,6 +130,31 @@ def test_what_a_killed_recorder_has_written_is_read(tmp_path: Path, name: str) -
         assert "ends in the middle" in log.damage
 
 
+def split_and_die(path: Path) -> None:
+    fill(RecordingWriter(path, SplitParameters(max_duration_s=1.0)), 12)
+    os._exit(9)
+
+
+def test_a_recorder_that_is_killed_before_its_new_file_has_a_message_leaves_all_others(tmp_path: Path) -> None:
+    """What waits for its chunk is lost, not the files before."""
+    process = multiprocessing.get_context("spawn").Process(target=split_and_die, args=(tmp_path / "run",))
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+    assert stamps_of(tmp_path / "run") == [i * STEP for i in range(1, 10)]
+    with open_log(tmp_path / "run") as log:
+        assert log.damage is not None
+        assert "run_1.mcap: damaged at byte" in log.damage
+    (tmp_path / "run" / "run_1.mcap").write_bytes(b"")  # as rosbag2 leaves it
+    with open_log(tmp_path / "run") as log:
+        assert log.damage is not None
+        assert "run_1.mcap: expected an MCAP or rosbag2 SQLite log, found an empty file" in log.damage
+    assert repair(tmp_path / "run", tmp_path / "whole.mcap").messages == 10
+    (tmp_path / "run" / "run_0.mcap").write_bytes(b"")
+    with pytest.raises(BagError, match=r"run_0.mcap: .* found an empty file"):
+        open_log(tmp_path / "run")
+
+
 def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_numbered_files(tmp_path: Path) -> None:
     """As rosbag2 leaves it after `kill -9`."""
     with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:

@@ -31,9 +31,17 @@ class LogReader:
     Messages can be read any number of times, and by several iterators at once in one thread.
     """
 
-    def __init__(self, path: Path, storages: Collection[Storage], metadata: Mapping[str, Mapping[str, str]]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        storages: Collection[Storage],
+        metadata: Mapping[str, Mapping[str, str]],
+        unreadable: Sequence[str] = (),
+    ) -> None:
+        """`unreadable`: a line for each file of the log that nothing can be read of."""
         self.path = path
         self._storages = tuple(storages)
+        self._unreadable = tuple(unreadable)
         self._damage: str | None = None
         self._metadata = {name: record for storage in storages for name, record in storage.metadata.items()}
         self._metadata.update(metadata)
@@ -109,7 +117,7 @@ class LogReader:
 
         A missing end is known once the log is open, a damaged chunk once iteration has come to it.
         """
-        known = [storage.damage for storage in self._storages] + [self._damage]
+        known = [*self._unreadable, *(storage.damage for storage in self._storages), self._damage]
         return " | ".join(line for line in known if line) or None
 
     def messages(
@@ -189,7 +197,8 @@ def open_log(path: Path | str, *, unfinished: bool = False) -> LogReader:
     `unfinished`: a folder whose recorder was killed before it wrote `metadata.yaml` opens by the numbers of its files.
 
     Raises `BagError` with one line for a path that is missing, empty, no log, holds no messages, or none in CDR. A
-    damaged or unfinished MCAP file opens up to its damage, and `LogReader.damage` tells.
+    damaged or unfinished MCAP file opens up to its damage, a folder without those of its files that nothing can be read
+    of (the last one of a recorder that was killed may be empty), and `LogReader.damage` tells.
     """
     path = Path(path)
     try:
@@ -288,13 +297,19 @@ def _open_files(
     compression: Compression = Compression.NONE,
 ) -> LogReader:
     storages: list[Storage] = []
+    refused: list[BagError] = []
     try:
         for file in files:
-            with unpacked(file, compression) as plain:
-                storages.append(_open_file(plain))
+            try:
+                with unpacked(file, compression) as plain:
+                    storages.append(_open_file(plain))
+            except BagError as error:
+                refused.append(error)
+        if refused and not storages:
+            raise refused[0]
         if compression is Compression.MESSAGE:
             storages = [UnpackedMessages(path, storage) for storage in storages]
-        return LogReader(path, storages, metadata)
+        return LogReader(path, storages, metadata, [f"{error}; the others are read" for error in refused])
     except BaseException:
         for storage in storages:
             storage.close()

@@ -214,6 +214,7 @@ class RecordingWriter:
         stream = path.open("xb")
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         writer.start(PROFILE, LIBRARY)
+        stream.flush()  # before the metadata names it: an empty file is no log
         self._files.append(_File(path, stream, writer))
         self._disk.ask(path.parent)
         self._write_metadata()
