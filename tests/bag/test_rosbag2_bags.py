@@ -68,7 +68,7 @@ def test_well_formed_bags_are_read_whole_and_in_order(name: str) -> None:
         assert (log.start_ns, log.end_ns) == (stamps[0], stamps[-1])
         assert log.damage is None
         for message in messages:
-            if message.msgtype in log.types:
+            if message.msgtype in message.types:
                 assert message.message.__msgtype__ == message.msgtype
             else:
                 assert message.msgtype.startswith(UNDEFINED)

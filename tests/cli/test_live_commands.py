@@ -199,7 +199,7 @@ def test_check_tells_degrees_from_radians_and_missing_calibration(
                 content = message.message
                 content.position = content.position * 57.3
                 data = bytes(serialize(content))
-            odd.write(message.topic, message.msgtype, data, message.stamp, log.types)
+            odd.write(message.topic, message.msgtype, data, message.stamp, message.types)
     assert main(["check", str(tmp_path / "odd.mcap")]) == 1
     said = capsys.readouterr().out
     assert "are they degrees?" in said

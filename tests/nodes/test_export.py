@@ -153,7 +153,7 @@ def test_an_arm_whose_joints_come_late_stands_as_it_is_first_seen(twin_log: Path
     with open_log(twin_log) as whole, RecordingWriter(late) as part:
         for message in whole.messages():
             if message.topic != JOINT_STATES or message.stamp >= START + 5 * PERIOD:
-                part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+                part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, message.types)
     assert run(late, "--to", "mjcf", "--rate", 10, "-o", tmp_path / "late.xml") == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "late.xml"))
     assert model.key_qpos[:, 0] == pytest.approx([0.5] * 6 + [0.1 * k for k in range(6, 15)])

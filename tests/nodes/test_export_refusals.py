@@ -195,7 +195,7 @@ def test_images_without_calibration_do_not_keep_from_an_export(
     with open_log(cell_log(0.5)) as whole, RecordingWriter(bare) as part:
         kept = [topic.name for topic in whole.topics if not topic.name.endswith("/camera_info")]
         for message in whole.messages(kept):
-            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, message.types)
     assert run(twin_log, bare, "--to", "csv", "--at", 0, "-o", tmp_path / "tables") == 0
 
 

@@ -95,7 +95,7 @@ def part_of(log: Path, out: Path, *left_out: str) -> Path:
     """The log without some topics."""
     with open_log(log) as whole, RecordingWriter(out) as part:
         for message in whole.messages([topic.name for topic in whole.topics if topic.name not in left_out]):
-            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, whole.types)
+            part.write(message.topic, message.msgtype, bytes(message.data), message.stamp, message.types)
     return out
 
 

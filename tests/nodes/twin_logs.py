@@ -104,7 +104,7 @@ def with_notes(log: Path, path: Path) -> Path:
             writer.add_metadata(name, dict(record))
         channels = {}
         for topic in read.topics:
-            text = read.types.definition(topic.msgtype).encode()
+            text = read.types_of(topic.name).definition(topic.msgtype).encode()
             schema = writer.register_schema(topic.msgtype, "ros2msg", text)
             channels[topic.name] = writer.register_channel(topic.name, "cdr", schema)
         notes = writer.register_channel("/notes", "json", writer.register_schema("note", "jsonschema", b"{}"))

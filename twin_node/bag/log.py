@@ -45,7 +45,7 @@ class LogMessage:
     data: bytes | memoryview
     """CDR with encapsulation header."""
     types: MessageTypes = field(repr=False, compare=False)
-    """The types as the log defines them."""
+    """The types as the log defines them for this topic."""
     published: int
     """When its publisher sent it, by its own clock, ns; the log time where the log does not say."""
 
@@ -66,6 +66,8 @@ class Channel:
     count: int
     profiles: tuple[Qos, ...]
     """Quality of service that its publishers offered; none where the file does not say."""
+    definition: str = ""
+    """Text that defines its type; empty where the file has none."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ class Record:
     data: bytes
     published: int
     """Time of publishing, ns; the log time where the file has none."""
+    definition: str = ""
+    """That of its channel."""
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ class McapStorage:
         try:
             self._index = self._from_summary() or self._from_scan()
             self._nameless = self._index.nameless
+            self._definitions = {
+                number: schema.data.decode("utf-8", errors="replace")
+                for number, schema in self._index.schemas.items()
+                if schema.encoding in ("ros2msg", "ros2idl", "omgidl")
+            }
         except BaseException:
             self._file.close()
             raise
@@ -96,6 +101,7 @@ class McapStorage:
                 encoding=channel.message_encoding,
                 count=self._index.counts[channel.id],
                 profiles=profiles_of(channel.metadata.get("offered_qos_profiles", "")),
+                definition=self._definitions.get(channel.schema_id, ""),
             )
             for channel in self._index.channels.values()
         )
@@ -103,11 +109,8 @@ class McapStorage:
     @property
     def definitions(self) -> Mapping[str, str]:
         """Message definitions that the file carries."""
-        return {
-            schema.name: schema.data.decode("utf-8", errors="replace")
-            for schema in self._index.schemas.values()
-            if schema.encoding in ("ros2msg", "ros2idl", "omgidl")
-        }
+        schemas = self._index.schemas
+        return {schemas[number].name: text for number, text in self._definitions.items()}
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
@@ -156,7 +159,8 @@ class McapStorage:
     def _record(self, message: Message) -> Record:
         channel = self._index.channels[message.channel_id]
         published = message.publish_time or message.log_time
-        return Record(channel.topic, self._msgtype(channel), message.log_time, message.data, published)
+        definition = self._definitions.get(channel.schema_id, "")
+        return Record(channel.topic, self._msgtype(channel), message.log_time, message.data, published, definition)
 
     def _msgtype(self, channel: ChannelRecord) -> str:
         schema = self._index.schemas.get(channel.schema_id)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any
@@ -19,7 +18,7 @@ from twin_node.bag.folder_metadata import METADATA_FILE
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.log_times import NO_START, NO_STOP, within
 from twin_node.bag.mcap_storage import McapStorage
-from twin_node.bag.qos import any_transient_local
+from twin_node.bag.merged_topics import merged_topics
 from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
 from twin_node.yaml_file import YAML_ERRORS, parse_yaml, yaml_reason
@@ -47,12 +46,15 @@ class LogReader:
         self._metadata.update(metadata)
         kept = within(part for storage in storages for part in storage.parts)
         self._parts = kept.parts
-        self._topics, left_out = _merge_topics(path, storages, kept.outside)
-        self._left_out = (*left_out, *kept.lines)
+        merged = merged_topics(path, [c for storage in storages for c in storage.channels], kept.outside)
+        self._topics = merged.topics
+        self._left_out = (*merged.left_out, *kept.lines)
         self._kinds = {topic.name: topic.msgtype for topic in self._topics}
+        self._definitions = merged.definitions
         self._types = builtin_types().extended(
             {name: text for storage in storages for name, text in storage.definitions.items()}
         )
+        self._types_of: dict[str, MessageTypes] = {}
         if not self._parts:
             why = f" ({'; '.join(kept.lines)})" if kept.lines else ""
             raise BagError(f"{path}: the log holds no messages{why}; record it again")
@@ -73,7 +75,8 @@ class LogReader:
     def left_out(self) -> tuple[str, ...]:
         """What the log holds that is not read, a line each.
 
-        Other encodings, a topic's messages of a second type, messages at log times that cannot be.
+        Other encodings, a topic's messages of a second type or by a second definition of their type, messages at log
+        times that cannot be.
         """
         return self._left_out
 
@@ -82,10 +85,16 @@ class LogReader:
         """Names of files that MCAP keeps beside the messages; nothing reads them."""
         return tuple(name for storage in self._storages for name in storage.attachments)
 
-    @property
-    def types(self) -> MessageTypes:
-        """Message types as this log defines them, beside the built-in ones."""
-        return self._types
+    def types_of(self, topic: str) -> MessageTypes:
+        """Message types as this log defines them for a topic, beside the built-in ones.
+
+        A log of several recordings may define one type in several ways.
+        """
+        if topic not in self._types_of:
+            texts = self._definitions.get(topic, frozenset()) - {""}
+            own = {self._kinds[topic]: min(texts)} if texts else {}
+            self._types_of[topic] = self._types.extended(own)
+        return self._types_of[topic]
 
     def profiles(self, topic: str) -> tuple[Qos, ...]:
         """Quality of service that a topic's publishers offered, as its first file has it; none where none says."""
@@ -145,12 +154,15 @@ class LogReader:
         try:
             for entry in heapq.merge(*streams, key=_Entry.order):
                 record = entry.record
-                if record is not None and self._kinds.get(record.topic) == record.msgtype:
-                    yield LogMessage(
-                        record.topic, record.msgtype, record.stamp, record.data, self._types, record.published
-                    )
+                if record is not None and self._is_read(record):
+                    types = self.types_of(record.topic)
+                    yield LogMessage(record.topic, record.msgtype, record.stamp, record.data, types, record.published)
         except DamageError as damage:
             self._damage = str(damage)
+
+    def _is_read(self, record: Record) -> bool:
+        is_of_kind = self._kinds.get(record.topic) == record.msgtype
+        return is_of_kind and record.definition in self._definitions[record.topic]
 
     def _until_damage(self, entries: Iterator[_Entry]) -> Iterator[_Entry]:
         try:
@@ -325,33 +337,3 @@ def _open_file(path: Path) -> Storage:
         return SqliteStorage(path)
     found = f"a file that begins with {head[:8]!r}" if head else "an empty file"
     raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
-
-
-def _merge_topics(
-    path: Path, storages: Collection[Storage], outside: Mapping[tuple[str, str], int]
-) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
-    """The topics, each of the type that most of its messages have, and what is left out.
-
-    `outside`: topic and type -> messages that do not count.
-    """
-    channels = [channel for storage in storages for channel in storage.channels]
-    encodings = sorted({channel.encoding for channel in channels})
-    if channels and "cdr" not in encodings:
-        raise BagError(f"{path}: expected messages in cdr, found {', '.join(encodings)}; convert the log to ROS 2")
-    kinds: dict[tuple[str, str], Topic] = {}
-    others: Counter[tuple[str, str]] = Counter()
-    for channel in channels:
-        if channel.encoding != "cdr":
-            others[channel.topic, channel.encoding] += channel.count
-            continue
-        key = channel.topic, channel.msgtype
-        known = kinds.get(key, Topic(*key, -outside.get(key, 0)))
-        latched = known.latched or any_transient_local(channel.profiles)
-        kinds[key] = replace(known, count=known.count + channel.count, latched=latched)
-    lines = [f"{topic}: {count} messages in {form}; expected cdr" for (topic, form), count in others.items()]
-    merged: dict[str, Topic] = {}
-    for kind in sorted(kinds.values(), key=lambda kind: (kind.name, -kind.count, kind.msgtype)):
-        first = merged.setdefault(kind.name, kind)
-        if first is not kind:
-            lines.append(f"{kind.name}: {kind.count} messages of {kind.msgtype}; {first.count} are of {first.msgtype}")
-    return tuple(merged.values()), tuple(sorted(lines))

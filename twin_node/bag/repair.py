@@ -33,9 +33,9 @@ def repair(source: Path, output: Path) -> Repaired:
     if os.path.lexists(output):
         raise BagError(f"{output}: exists already; remove it or choose another name for the repaired log")
     with open_log(source, unfinished=True) as log, LogWriter(output) as writer:
-        known = [topic for topic in log.topics if topic.msgtype in log.types]
+        known = [topic for topic in log.topics if topic.msgtype in log.types_of(topic.name)]
         for topic in known:
-            definition = log.types.definition(topic.msgtype)
+            definition = log.types_of(topic.name).definition(topic.msgtype)
             writer.add_topic(topic.name, topic.msgtype, definition=definition, profiles=log.profiles(topic.name))
         for name, record in log.metadata.items():
             writer.add_metadata(name, record)

@@ -47,6 +47,7 @@ class SqliteStorage:
                 encoding=cast("ConnectionExtRosbag2", connection.ext).serialization_format,
                 count=connection.msgcount,
                 profiles=tuple(cast("ConnectionExtRosbag2", connection.ext).offered_qos_profiles),
+                definition=connection.msgdef.data,
             )
             for connection in self._reader.connections
         )
@@ -104,7 +105,7 @@ class SqliteStorage:
                 raise DamageError(
                     f"{self._path}: damaged after the message at {stamp} ns ({reason}); read up to it"
                 ) from None
-            yield Record(connection.topic, connection.msgtype, stamp, data, stamp)
+            yield Record(connection.topic, connection.msgtype, stamp, data, stamp, connection.msgdef.data)
 
     def close(self) -> None:
         """Releases the file."""

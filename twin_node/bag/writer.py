@@ -190,7 +190,8 @@ class _FileSink:
             raise BagError(taken(path)) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
         self._writer.start(PROFILE, LIBRARY)
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        """By type and definition."""
         self._channels: dict[str, int] = {}
         self.counts: dict[str, int] = {}
         """Topic -> messages."""
@@ -199,11 +200,11 @@ class _FileSink:
         self.end = 0
 
     def add_topic(self, topic: _Announced) -> None:
-        msgtype = topic.msgtype
-        if msgtype not in self._schemas:
-            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", topic.definition.encode())
+        key = topic.msgtype, topic.definition
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(topic.msgtype, "ros2msg", topic.definition.encode())
         qos = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
-        self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[msgtype], qos)
+        self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[key], qos)
         self.counts.setdefault(topic.name, 0)
 
     def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:

@@ -161,7 +161,7 @@ class PlayNode(Node):
         types = {topic.name: topic.msgtype for topic in self._log.topics if topic.latched and topic.name in self._names}
         for source, standing in standing_before(self._log, types, self._span.start_ns).items():
             for data in standing:
-                self._bus.publish(self._names[source], Encoded(types[source], data, self._log.types))
+                self._bus.publish(self._names[source], Encoded(types[source], data, self._log.types_of(source)))
 
     def _messages(self) -> Iterator[LogMessage]:
         yield from self._log.messages(list(self._names), self._span.start_ns, self._span.stop_ns)
@@ -220,7 +220,7 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     for name, topic in held.items():
         if not is_topic_name(remaps.get(name, name)):
             unfit[name] = "which is no name of a topic on the graph"
-        elif topic.msgtype not in log.types:
+        elif topic.msgtype not in log.types_of(topic.name):
             unfit[name] = f"whose type {topic.msgtype or '(none)'} is defined nowhere"
     for name in asked:
         if name in unfit:
