@@ -43,6 +43,20 @@ def test_binning_and_region_of_interest_keep_every_ray() -> None:
     np.testing.assert_allclose(binned[:2] * 2 + 0.5 + [100, 50], full[:2])
 
 
+def test_rectified_images_were_seen_by_p_without_distortion() -> None:
+    """Undistorting them once more bends them by as much as the lens did."""
+    info = c.camera_info(camera(), STAMP)
+    info.p[:] = [500, 0, 310, 0, 0, 505, 230, 0, 0, 0, 1, 0]
+    found = c.rig_camera(sent(info), "front", np.eye(4), is_rectified=True)
+    np.testing.assert_array_equal(found.K, [[500, 0, 310], [0, 505, 230], [0, 0, 1]])
+    assert not found.D.any()
+    info.p[:] = 0
+    with pytest.raises(MessageError, match="camera front: its images are rectified, and its CameraInfo has no P"):
+        c.rig_camera(info, "front", np.eye(4), is_rectified=True)
+    straight = c.rig_camera(replace(info, d=np.zeros(5)), "front", np.eye(4), is_rectified=True)
+    np.testing.assert_array_equal(straight.K, camera().K)
+
+
 @pytest.mark.parametrize(
     ("roi", "binning", "words"),
     [

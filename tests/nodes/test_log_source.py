@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from twin_logs import with_gripper
 
@@ -16,6 +18,7 @@ from twin_node.nodes.playback import Playback
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.robot import ur_model
+from twin_node.scene import Rig, RigCamera
 
 
 def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
@@ -92,3 +95,20 @@ def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[...
     for opened in (LogSession, lambda path: Playback([path])):
         with pytest.raises(GraphError, match=words):
             opened(tmp_path / "flipped.mcap")
+
+
+@pytest.mark.parametrize("name", ["image_rect/compressed", "rectified/compressed"])
+def test_rectified_images_are_not_rectified_again(tmp_path: Path, name: str) -> None:
+    """Whether their name says so, or that which they are renamed to."""
+    lens = RigCamera("front", 64, 48, np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), np.eye(4))
+    lens = replace(lens, D=np.array([-0.3, 0.1, 0, 0, 0]))
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((lens,)), 5), 5)
+        log.write("/front/camera_info", convert.camera_info(lens, 5), 5)
+        log.write(f"/front/{name}", convert.compressed_image("front", 5, image, 100), 5)
+        shown = convert.rgb_from_message(convert.compressed_image("front", 5, image, 100))
+    remaps = {"/front/rectified/compressed": "/front/image_rect/compressed"} if "rectified" in name else None
+    with LogSession(tmp_path / "log.mcap", remaps=remaps) as session:
+        [view] = next(iter(LogSource(session, SynchronizerParameters()))).views
+    np.testing.assert_array_equal(view.rgb, shown)

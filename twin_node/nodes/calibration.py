@@ -16,7 +16,7 @@ from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.contents import content_of
-from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError
+from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
 from twin_node.scene import Float64, Rig
 
@@ -105,7 +105,8 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics]) -> None:
     for camera, depth_info in measured.items():
         if camera.info not in infos or depth_info not in infos:
             continue
-        colour, depth = (_pinhole(infos[topic]) for topic in (camera.info, depth_info))
+        colour = _pinhole(infos[camera.info], camera.is_rectified)
+        depth = _pinhole(infos[depth_info], is_rectified(camera.depth or ""))
         if colour[0] > 0 and depth[0] > 0 and np.abs(colour - depth).max() > ANOTHER_LENS:
             raise GraphError(
                 f"{log.path}: camera '{camera.name}': expected depth aligned with its colour image, found that of "
@@ -125,9 +126,11 @@ def _first_messages(log: LogReader, topics: Collection[str]) -> dict[str, Any]:
     return found
 
 
-def _pinhole(info: Any) -> Float64:
+def _pinhole(info: Any, of_rectified: bool) -> Float64:
     """[4] fx, cx by the image's width and fy, cy by its height."""
     K = np.asarray(info.k, np.float64).reshape(3, 3)
+    if of_rectified and info.p[0] > 0:
+        K = np.asarray(info.p, np.float64).reshape(3, 4)[:, :3]
     width, height = max(info.width, 1), max(info.height, 1)
     return np.array([K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height])
 
@@ -144,7 +147,8 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str)
                 "record it, or give --rig RIG.yaml"
             )
         T_base_cam = _pose(log, camera, info, tree, tf_static)
-        found = rig_camera(info, camera.name, T_base_cam, record.sigmas_m.get(camera.name, 0.0))
+        sigma_m = record.sigmas_m.get(camera.name, 0.0)
+        found = rig_camera(info, camera.name, T_base_cam, sigma_m, camera.is_rectified)
         if clock := record.clocks.get(camera.name):
             found = replace(
                 found,

@@ -108,6 +108,8 @@ class CameraTopics:
     depth_type: str | None = None
     depth_info: str | None = None
     """Where the depth's own calibration is; None where there is none."""
+    is_rectified: bool = False
+    """Whether its images have been rectified already."""
 
 
 def parse_remaps(remaps: Sequence[str]) -> dict[str, str]:
@@ -184,6 +186,7 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
             depth=depth.get(name),
             depth_type=types[depth[name]] if name in depth else None,
             depth_info=_depth_info_topic(depth[name], types) if name in depth else None,
+            is_rectified=is_rectified(topic),
         )
         for name, topic in sorted(colour.items())
     )
@@ -196,6 +199,11 @@ def camera_of(topic: str) -> str:
         if i and part.startswith(("image", "color", "rgb", "depth", "aligned_depth", "compressed")):
             return "_".join(parts[:i])
     return "_".join(parts[:-1]) or parts[0]
+
+
+def is_rectified(image: str) -> bool:
+    """Whether a topic's images have been rectified, by its name (REP-104: `image_rect`, `image_rect_color`; ZED)."""
+    return any(part == "rect" or part.startswith("image_rect") for part in image.split("/"))
 
 
 def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:

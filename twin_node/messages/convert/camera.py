@@ -47,14 +47,17 @@ def camera_info(camera: RigCamera, stamp: int) -> Message:
     )
 
 
-def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0.0) -> RigCamera:
+def rig_camera(
+    info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0.0, is_rectified: bool = False
+) -> RigCamera:
     """Camera `name` from a CameraInfo and its pose [4, 4] in `base_link`.
 
-    K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg).
+    K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg). Rectified
+    images were seen by P, and have no distortion any more.
     Raises `MessageError` for an uncalibrated camera, one without a size, a region or binning that does not fit it, an
     unknown distortion model or a wrong number of coefficients.
     """
-    K = np.array(info.k, dtype=np.float64).reshape(3, 3)
+    K = _projection(info, name) if is_rectified else np.array(info.k, dtype=np.float64).reshape(3, 3)
     if not (0 < info.width <= MOST_PIXELS and 0 < info.height <= MOST_PIXELS):
         raise MessageError(
             f"camera {name}: CameraInfo says that images are {info.width}x{info.height}; correct it, or give a rig file"
@@ -81,6 +84,10 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
     K[:2, :2] /= bins[:, None]
     K[:2, 2] = (K[:2, 2] + 0.5) / bins - 0.5
     model = str(info.distortion_model) or "plumb_bob"
+    if is_rectified:
+        model, D = "plumb_bob", np.zeros(DISTORTION_SIZES["plumb_bob"][-1])
+    else:
+        D = _coefficients(name, model, np.array(info.d, dtype=np.float64))
     return RigCamera(
         name=name,
         width=width // int(bins[0]),
@@ -88,9 +95,22 @@ def rig_camera(info: Message, name: str, T_base_cam: Float64, sigma_m: float = 0
         K=K,
         T_base_cam=np.array(T_base_cam, dtype=np.float64),
         distortion_model=model,
-        D=_coefficients(name, model, np.array(info.d, dtype=np.float64)),
+        D=D,
         sigma_m=sigma_m,
     )
+
+
+def _projection(info: Message, name: str) -> Float64:
+    """[3, 3] what rectified images were seen by: of P, or K where nothing was to be rectified."""
+    P: Float64 = np.array(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
+    if P[0, 0] or P[1, 1]:
+        return P
+    if np.any(info.d):
+        raise MessageError(
+            f"camera {name}: its images are rectified, and its CameraInfo has no P that they were seen by; record "
+            "image_raw, or give a rig file"
+        )
+    return np.array(info.k, dtype=np.float64).reshape(3, 3)
 
 
 def _coefficients(name: str, model: str, D: Float64) -> Float64:

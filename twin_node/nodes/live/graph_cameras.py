@@ -60,15 +60,16 @@ class GraphCameras:
         if self._rig is not None:
             published = {camera.name for camera in cameras}
             return [camera for camera in self._rig.cameras if camera.name in published]
-        found = [_camera(camera.name, self._infos.get(camera.info), self._tree) for camera in cameras]
+        found = [_camera(camera, self._infos.get(camera.info), self._tree) for camera in cameras]
         return [camera for camera in found if camera is not None]
 
 
-def _camera(name: str, info: Any, tree: TransformTree) -> RigCamera | None:
+def _camera(camera: CameraTopics, info: Any, tree: TransformTree) -> RigCamera | None:
     """A camera whose calibration has come, whole and sound; None else."""
     if info is None:
         return None
     try:
-        return rig_camera(info, name, tree.lookup(info.header.frame_id.lstrip("/")))
+        T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
+        return rig_camera(info, camera.name, T_base_cam, is_rectified=camera.is_rectified)
     except MessageError:  # its transforms have not come yet, or it is not calibrated: there is no place to show it
         return None
