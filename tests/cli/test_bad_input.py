@@ -93,12 +93,6 @@ def test_stamps_that_run_backwards(refused: Callable[..., str], cell_log: Callab
     assert "run backwards" in line
 
 
-def test_depth_without_one_finite_pixel(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
-    line = refused(cell_log(0.4, Fault("nan_depth", "cam_left")), "--lockstep")
-    assert "cam_left" in line
-    assert "depth" in line
-
-
 def test_log_without_images(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
     cameras = ("cam_front", "cam_left", "cam_back")
     line = refused(cell_log(0.4, *(Fault("missing", camera) for camera in cameras)), "--lockstep")

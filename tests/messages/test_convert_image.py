@@ -151,11 +151,7 @@ def test_depth_in_metres_is_exact_where_known_and_zero_elsewhere(depth: np.ndarr
 @given(DEPTHS)
 def test_float_depth_of_foreign_drivers_never_passes_what_is_not_finite(depth: np.ndarray) -> None:
     message = sent(image("32FC1", depth))
-    if np.isfinite(depth).any():
-        np.testing.assert_array_equal(depth_from_message(message), known(depth))
-    else:
-        with pytest.raises(MessageError, match="none of the 48 depth values is finite"):
-            depth_from_message(message)
+    np.testing.assert_array_equal(depth_from_message(message), known(depth))
 
 
 @given(hnp.arrays(np.float32, (6, 8), elements=st.floats(0, 100, width=32)))
@@ -166,9 +162,9 @@ def test_depth_in_millimetres_is_rounded_and_never_wraps(depth: np.ndarray) -> N
         np.testing.assert_array_equal(depth_from_message(sent(message)), expected.astype(np.float32))
 
 
-def test_depth_of_nan_alone_is_refused() -> None:
-    with pytest.raises(MessageError, match="none of the 16 depth values is finite"):
-        depth_from_message(image("32FC1", np.full((4, 4), np.nan, dtype=np.float32)))
+def test_depth_of_nan_alone_is_unknown_throughout() -> None:
+    """A stereo camera whose lens is covered, or that has just begun, is not at fault; drivers of 16UC1 send zeros."""
+    assert not depth_from_message(image("32FC1", np.full((4, 4), np.nan, dtype=np.float32))).any()
 
 
 def test_big_endian_and_plain_png_depth() -> None:

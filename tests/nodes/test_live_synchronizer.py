@@ -316,13 +316,14 @@ def test_a_camera_whose_depth_fails_is_named_and_costs_no_latency() -> None:
     node.configure()
     bus.subscribe(FRAMES, sets.append)
 
-    def take(i: int, *measuring: str) -> None:
+    def take(i: int, *measuring: str, metres: float = 1.0) -> None:
         clock.stamp = START + i * PERIOD + 5 * MS
         for name in NAMES:
             stamp = START + i * PERIOD
             bus.publish(topics[name].image, convert.raw_image(name, stamp, np.full((12, 16, 3), 90, np.uint8)))
             if name in measuring:
-                bus.publish(topics[name].depth or "", convert.depth_image(name, stamp, np.ones((12, 16), np.float32)))
+                depth = np.full((12, 16), metres, np.float32)
+                bus.publish(topics[name].depth or "", convert.depth_image(name, stamp, depth))
 
     for i in range(SECOND):
         take(i, "front", "left")
@@ -334,6 +335,9 @@ def test_a_camera_whose_depth_fails_is_named_and_costs_no_latency() -> None:
     back, front, left = node.diagnoses()
     assert (back.level, front.level, left.level) == (Level.OK, Level.OK, Level.WARN)
     assert "no depth: it came with 0 of 30 images; look at the depth camera" in left.message
+    for i in range(2 * SECOND, 3 * SECOND):  # what comes, and was measured nowhere, is none
+        take(i, "front", metres=0.0)
+    assert "no depth: it came with 0 of 30 images" in node.diagnoses()[1].message
 
 
 @pytest.mark.parametrize("rate", [None, 15.0])

@@ -11,6 +11,7 @@ import pytest
 from twin_logs import with_gripper
 
 from twin_node.bag import LogWriter, open_log
+from twin_node.cell.scenario import Fault
 from twin_node.messages import convert, header_stamp
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -95,6 +96,14 @@ def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[...
     for opened in (LogSession, lambda path: Playback([path])):
         with pytest.raises(GraphError, match=words):
             opened(tmp_path / "flipped.mcap")
+
+
+def test_depth_of_nan_alone_is_unknown(cell_log: Callable[..., Path]) -> None:
+    """As of a stereo camera whose lens is covered for a while: the log is played on."""
+    with LogSession(cell_log(0.3, Fault("nan_depth", "cam_left"))) as session:
+        frames = next(iter(LogSource(session, SynchronizerParameters(width=80))))
+    measured = {view.camera.name: bool(view.depth is not None and view.depth.any()) for view in frames.views}
+    assert measured == {"cam_back": True, "cam_front": True, "cam_left": False}
 
 
 @pytest.mark.parametrize("name", ["image_rect/compressed", "rectified/compressed"])

@@ -61,6 +61,10 @@ class CameraWatch:
         """Takes note that a camera measures depth, whether or not its images can be paired with those of colour."""
         self._measuring.add(camera)
 
+    def add_unmeasured(self, camera: str) -> None:
+        """Takes note that depth which has come tells nothing: no pixel of it was measured."""
+        self._seen[camera].depths -= 1
+
     def add_unusable(self, camera: str, why: str) -> None:
         """Takes note of an image that its set goes without."""
         self._seen[camera].unusable.append(why)
@@ -102,7 +106,7 @@ class CameraWatch:
             faults.append(f"slow: {count} images where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
-        depths = self._seen[totals.name].depths
+        depths = max(self._seen[totals.name].depths, 0)  # what came before the last report may be decoded after it
         if totals.name in self._measuring and depths < SLOW_SHARE * count:
             faults.append(
                 f"no depth: it came with {depths} of {count} images; look at the depth camera, and whether its images "

@@ -209,4 +209,6 @@ class SynchronizerNode(Node):
 
     def _decoded(self, name: str, stamp: int, encoded: EncodedView) -> View:
         depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
+        if depth is not None and not depth.any():
+            self._watch.add_unmeasured(name)
         return self._assembler.view(name, DecodedImage(stamp, convert.rgb_from_message(encoded.colour), depth))

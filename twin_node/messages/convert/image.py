@@ -104,8 +104,9 @@ def rgb_from_message(message: Message) -> UInt8:
 def depth_from_message(message: Message) -> Float32:
     """Depth [H, W] in metres of a depth image; 0 where unknown: NaN, infinite and negative values never pass.
 
-    Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm or in the compressedDepth form.
-    Raises `MessageError` for any other encoding, undecodable data, and floating-point depth without one finite pixel.
+    Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm or in the compressedDepth form. All
+    are 0 where nothing was measured, as with a covered lens. Raises `MessageError` for any other encoding and
+    undecodable data.
     """
     if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
         return _decode_compressed_depth(message)
@@ -113,7 +114,7 @@ def depth_from_message(message: Message) -> Float32:
     if message.encoding in ("16UC1", "mono16"):
         return _metres(_rows(message, np.dtype(f"{order}u2"), 1))
     if message.encoding == "32FC1":
-        return _checked(message, _rows(message, np.dtype(f"{order}f4"), 1))
+        return _known(_rows(message, np.dtype(f"{order}f4"), 1))
     raise MessageError(
         f"{_name(message)}: depth encoding {message.encoding!r}; expected 16UC1 (mm) or 32FC1 (m); convert the topic"
     )
@@ -131,7 +132,7 @@ def _decode_compressed_depth(message: Message) -> Float32:
         return _metres(values)
     with np.errstate(divide="ignore"):
         depth = np.float32(a) / (values.astype(np.float32) - np.float32(b))
-    return _checked(message, np.where(values > 0, depth, np.nan))
+    return _known(np.where(values > 0, depth, np.float32(0)))
 
 
 def _image(camera: str, stamp: int, rows: NDArray[np.uint8], width: int, encoding: str) -> Message:
@@ -164,15 +165,6 @@ def _millimetres(depth: Float32) -> NDArray[np.uint16]:
 
 def _metres(millimetres: NDArray[np.generic]) -> Float32:
     return millimetres.astype(np.float32) / np.float32(MM_PER_M)
-
-
-def _checked(message: Message, depth: NDArray[np.floating]) -> Float32:
-    if not np.isfinite(depth).any():
-        raise MessageError(
-            f"{_name(message)}: none of the {depth.size} depth values is finite (NaN or infinite throughout); expected "
-            "metres with 0 or NaN only where depth is unknown; check the depth camera"
-        )
-    return _known(depth.astype(np.float32))
 
 
 def _decode(message: Message, data: UInt8, flags: int) -> UInt8:
