@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import signal
@@ -182,7 +183,7 @@ def test_check_names_what_is_wrong(cell_log: Callable[..., Path], capsys: pytest
     found = json.loads(capsys.readouterr().out)
     said = {topic["name"]: " ".join(topic["faults"]) for topic in found["topics"]}
     assert "gaps" in said["/cam_left/image_raw/compressed"]
-    assert "none of the" in said["/cam_back/depth/image_rect"]
+    assert said["/cam_back/depth/image_rect"] == "no depth is known in any image that was looked at"
     assert "run backwards" in said["/cam_front/image_raw/compressed"]
     assert said["/joint_states"] == ""
 
@@ -228,3 +229,11 @@ def test_a_driver_says_whole_reasons_once() -> None:
     )
     said = [news.of(DriverReport(0, DriverState.READY, reason)) for reason in reasons]
     assert said == [None if row in (1, 4) else f"ready: {reason}" for row, reason in enumerate(reasons)]
+
+
+def test_a_player_that_nobody_could_let_go_on_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["play", str(small_log(tmp_path / "log.mcap")), "--start-paused"]) == 2
+    assert "--start-paused: expected a terminal" in capsys.readouterr().err

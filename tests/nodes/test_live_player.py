@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import Writer
 from twin_logs import with_notes
 
-from twin_node.bag import RecordingWriter, open_log
+from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.nodes.live.player import PlayNode, PlayParameters
 from twin_node.nodes.live.setup import Setup
@@ -41,6 +41,17 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
+class Announced(LocalWire):
+    """A wire that notes what others are told of."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.topics: dict[str, TopicKind] = {}
+
+    def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
+        self.topics[topic] = kind
+
+
 class Theatre:
     """A player, and what it has played."""
 
@@ -48,7 +59,7 @@ class Theatre:
         self.heard: list[tuple[str, str]] = []
         self.clock: list[int] = []
         self.finished, self.enough = threading.Event(), threading.Event()
-        self.wire = wire = LocalWire()
+        self.wire = wire = Announced()
         for topic in ("/a", "/b", "/c"):
             wire.subscribe("test", topic, TopicKind(STRING), self._hear(topic))
         wire.subscribe("test", CLOCK, kind_of(CLOCK), lambda m: self.clock.append(convert.clock_from_message(m)))
@@ -90,6 +101,35 @@ def test_a_part_of_some_topics_under_other_names(log: Path) -> None:
     theatre = Theatre(log, topics=("/a",), remap=("/a:=/c",), start_offset=0.1, playback_duration=0.2)
     theatre.play()
     assert theatre.heard == [("/c", f"/a {i}") for i in range(2, 6)]
+
+
+def test_others_are_told_of_all_topics_before_the_first_message(tmp_path: Path) -> None:
+    """A recorder of all that comes, too, has to find a topic before it can hear it; the log says what its type is."""
+    text = "int32 of_ours"
+    types = builtin_types().extended({"my_msgs/msg/Note": text})
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.add_topic("/note", "my_msgs/msg/Note", definition=text)
+        note = types.message_type("my_msgs/msg/Note")(of_ours=1)
+        log.write_raw("/note", "my_msgs/msg/Note", types.serialize(note), START)
+        log.write("/a", message_type(STRING)(data="x"), START + 60_000_000_000)
+    theatre = Theatre(tmp_path / "log.mcap", start_paused=True, clock=10.0, remap=("/a:=/c",))
+    theatre.begin()
+    announced = theatre.wire.topics
+    assert (announced["/note"].msgtype, announced["/c"].msgtype) == ("my_msgs/msg/Note", STRING)
+    assert announced["/note"].type_hash == types.type_hash("my_msgs/msg/Note")
+    assert CLOCK in announced
+    theatre.end()
+
+
+def test_topics_of_two_types_are_not_played_under_one_name(tmp_path: Path) -> None:
+    """All would go out as of the first one's type."""
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", message_type(STRING)(data="x"), START)
+        log.write("/b", message_type("std_msgs/msg/Int32")(data=1), START)
+    with pytest.raises(
+        GraphError, match=r"one type as /b, found /a \(std_msgs/msg/String\) and /b \(std_msgs/msg/Int32"
+    ):
+        Theatre(tmp_path / "log.mcap", remap=("/a:=/b",))
 
 
 def test_what_stands_is_told_before_a_part(tmp_path: Path) -> None:

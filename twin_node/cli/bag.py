@@ -97,8 +97,11 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _play(options: argparse.Namespace) -> None:
+    from twin_node.errors import TwinError
     from twin_node.nodes.live.single import run_single
 
+    if options.start_paused and not sys.stdin.isatty():
+        raise TwinError("--start-paused: expected a terminal in which Enter lets time run; leave it out")
     names = ("rate", "loop", "start_offset", "playback_duration", "delay", "clock", "topics", "remap", "start_paused")
     parameters = {name: getattr(options, name) for name in (*names, "read_ahead_queue_size")}
 

@@ -28,6 +28,10 @@ class LateWire:
         """As `ZenohWire.subscribe`. Raises `WireError` while the wire is not open."""
         return self._wire.subscribe(node, topic, kind, sink)
 
+    def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
+        """As `ZenohWire.advertise`. Raises `WireError` while the wire is not open."""
+        self._wire.advertise(node, topic, kind)
+
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """As `ZenohWire.is_heard`. Raises `WireError` while the wire is not open."""
         return self._wire.is_heard(node, topic, kind)

@@ -49,6 +49,8 @@ class TopicKind:
     msgtype: str | None
     """Full ROS 2 name; None: a record that never leaves its process."""
     qos: Qos = RELIABLE
+    type_hash: str | None = None
+    """RIHS01 hash of a type that is not built in; None: of the built-in one, or of that which a message brings."""
 
 
 KindOf = Callable[[str], TopicKind]

@@ -53,6 +53,9 @@ class Wire(Protocol):
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink` until cancelled; what is kept of a latched topic comes at once."""
 
+    def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
+        """Tells the graph that node `node` will send on `topic`, before it does."""
+
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """Whether anybody would get what node `node` sends on `topic`."""
 
@@ -100,6 +103,9 @@ class LocalWire:
                 self._sinks[topic].remove(sink)
 
         return cancel
+
+    def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
+        """Nothing: threads of one process need no discovery."""
 
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """Whether a thread of this process listens."""

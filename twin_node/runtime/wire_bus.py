@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from twin_node.errors import TwinError
@@ -90,9 +90,13 @@ class WireBus:
         if send is None:
             kind = self._kind(topic)
             msgtype = message.msgtype if isinstance(message, Encoded) else getattr(message, "__msgtype__", None)
-            kind = TopicKind(msgtype, kind.qos)
+            kind = replace(kind, msgtype=msgtype)
             send = self._senders[topic] = self._wire.publisher(self._node, self.resolved(topic), kind)
         send(message)
+
+    def advertise(self, topic: str) -> None:
+        """Lets others know of a topic before anything is published on it: who finds it only then misses the first."""
+        self._wire.advertise(self._node, self.resolved(topic), self._kind(topic))
 
     def is_heard(self, topic: str) -> bool:
         """Whether anybody would get what is published on `topic`: what is costly is not made for nobody."""

@@ -69,6 +69,13 @@ class ZenohWire:
         self._senders[node, topic] = sender
         return sender
 
+    def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
+        """Declares the publisher for other processes, which is else declared when something is sent."""
+        self.publisher(node, topic, kind)
+        sender = self._senders.get((node, topic))
+        if sender is not None:
+            sender.there()
+
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """Whether anybody would get what node `node` sends on `topic`, as far as this session has been told."""
         self.publisher(node, topic, kind)
@@ -80,10 +87,9 @@ class ZenohWire:
         cancel_here = self._local.subscribe(node, topic, kind, sink)
         if kind.msgtype is None:
             return cancel_here
-        msgtype = kind.msgtype
-        endpoint = self._endpoint(EntityKind.SUBSCRIBER, node, topic, kind, self._hash_of(msgtype))
-        receive = _Receiver(self, msgtype, sink)
-        key = topic_key(self._domain, topic, msgtype, endpoint.type_hash)
+        endpoint = self._endpoint(EntityKind.SUBSCRIBER, node, topic, kind, self._hash_of(kind))
+        receive = _Receiver(self, kind.msgtype, sink)
+        key = topic_key(self._domain, topic, kind.msgtype, endpoint.type_hash)
         subscriber = self._keep(self._declare_subscriber(key, kind, receive))
         token = self._announce(endpoint_token(endpoint))
 
@@ -132,7 +138,7 @@ class ZenohWire:
         self._session.close()
 
     def _remote_publisher(self, node: str, topic: str, kind: TopicKind, message: Any) -> _RemotePublisher:
-        type_hash = self._hash_of(kind.msgtype or "", message)
+        type_hash = self._hash_of(kind, message)
         endpoint = self._endpoint(EntityKind.PUBLISHER, node, topic, kind, type_hash)
         token = endpoint_token(endpoint)
         key = topic_key(self._domain, topic, endpoint.msgtype, endpoint.type_hash)
@@ -184,11 +190,13 @@ class ZenohWire:
         self._announce(node_token(identity))
         return identity
 
-    def _hash_of(self, msgtype: str, message: Any = None) -> str:
+    def _hash_of(self, kind: TopicKind, message: Any = None) -> str:
         if self._parameters.ros_distro == "humble":
             return HUMBLE_HASH
+        if kind.type_hash is not None:
+            return kind.type_hash
         types = message.types if isinstance(message, Encoded) else builtin_types()
-        return types.type_hash(msgtype)
+        return types.type_hash(kind.msgtype or "")
 
     def _announce(self, token: str) -> Any:
         return self._keep(self._session.liveliness().declare_token(token))

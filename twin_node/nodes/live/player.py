@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,8 +105,12 @@ class PlayNode(Node):
         for topic in self._log.topics:
             if topic.name in self._names:
                 latched = LATCHED_BY_SEVERAL if is_of_several(topic.name) else LATCHED
-                kind = TopicKind(topic.msgtype, latched if topic.latched else RELIABLE)
+                type_hash = self._log.types_of(topic.name).type_hash(topic.msgtype)
+                kind = TopicKind(topic.msgtype, latched if topic.latched else RELIABLE, type_hash)
                 self._bus.declare(self._names[topic.name], kind)
+                self._bus.advertise(self._names[topic.name])
+        if self._parameters.clock:
+            self._bus.advertise(CLOCK)
 
     def on_activate(self) -> None:
         self._stop.clear()
@@ -235,7 +239,24 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     for line in log.left_out if not asked else ():
         say(f"not played: {line}")
     free = held.keys() - unfit.keys() - ({CLOCK} if parameters.clock else set())
-    return {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
+    names = {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
+    _check_types(log, names)
+    return names
+
+
+def _check_types(log: LogReader, names: Mapping[str, str]) -> None:
+    """Raises `GraphError` where topics of two types would be published under one name."""
+    played: dict[str, Topic] = {}
+    for topic in log.topics:
+        if topic.name not in names:
+            continue
+        first = played.setdefault(names[topic.name], topic)
+        if first.msgtype != topic.msgtype:
+            raise GraphError(
+                f"{log.path}: expected topics of one type as {names[topic.name]}, found {first.name} "
+                f"({first.msgtype}) and {topic.name} ({topic.msgtype}); remap one of them to another name, or leave it "
+                "out with --topics"
+            )
 
 
 def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event) -> Iterator[LogMessage]:

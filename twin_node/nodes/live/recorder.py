@@ -88,6 +88,7 @@ class LiveRecorderNode(Node):
         path = _unused(wanted)
         if path != wanted:
             self._say(f"{wanted} exists already: recording into {path}")
+        builtin_types()  # takes half a second when first called: a topic that has just been found cannot wait for it
         self._writer = RecordingWriter(path, self._parameters.split)
         for topic in self._topics:
             if kind_of(topic).msgtype is not None:
