@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from twin_node.messages import Message, MessageError, deserialize, serialize
+from twin_node.messages import Message, MessageError, deserialize, header, message_type, serialize
 from twin_node.messages.convert import (
     compressed_depth_image,
     compressed_image,
@@ -165,6 +165,18 @@ def test_depth_in_millimetres_is_rounded_and_never_wraps(depth: np.ndarray) -> N
 def test_depth_of_nan_alone_is_unknown_throughout() -> None:
     """A stereo camera whose lens is covered, or that has just begun, is not at fault; drivers of 16UC1 send zeros."""
     assert not depth_from_message(image("32FC1", np.full((4, 4), np.nan, dtype=np.float32))).any()
+
+
+def test_depth_in_tiff_is_that_of_the_image() -> None:
+    """compressed_image_transport's only form for 32FC1."""
+    depth = np.array([[np.nan, 1.25], [0.5, np.inf]], np.float32)
+    for values, metres in ((depth, known(depth)), (np.array([[0, 1250]], np.uint16), [[0, 1.25]])):
+        tiff = cv2.imencode(".tiff", values)[1]
+        kind = message_type("sensor_msgs/msg/CompressedImage")
+        found = depth_from_message(
+            kind(header=header(STAMP, "cam"), format="32FC1; tiff compressed", data=tiff.reshape(-1))
+        )
+        np.testing.assert_allclose(found, metres)
 
 
 def test_big_endian_and_plain_png_depth() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.messages.convert.camera import optical_frame
+from twin_node.messages.convert.rvl import decode_rvl
 from twin_node.messages.stamps import header, header_stamp
 from twin_node.messages.types import Message, MessageError, message_type
 from twin_node.scene import Float32, UInt8
@@ -45,6 +46,7 @@ CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, 
 
 MM_PER_M = 1000.0
 PNG_SIGNATURE = b"\x89PNG"
+TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 """ConfigHeader of compressed_depth_image_transport: compression format, depth quantisation A and B."""
 
@@ -104,9 +106,9 @@ def rgb_from_message(message: Message) -> UInt8:
 def depth_from_message(message: Message) -> Float32:
     """Depth [H, W] in metres of a depth image; 0 where unknown: NaN, infinite and negative values never pass.
 
-    Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm or in the compressedDepth form. All
-    are 0 where nothing was measured, as with a covered lens. Raises `MessageError` for any other encoding and
-    undecodable data.
+    Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm, as TIFF in mm or m, or in the
+    compressedDepth form (PNG or RVL). All are 0 where nothing was measured, as with a covered lens. Raises
+    `MessageError` for any other encoding and undecodable data.
     """
     if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
         return _decode_compressed_depth(message)
@@ -122,12 +124,14 @@ def depth_from_message(message: Message) -> Float32:
 
 def _decode_compressed_depth(message: Message) -> Float32:
     data = message.data
-    if bytes(data[:4]) == PNG_SIGNATURE:
-        return _metres(_decode(message, data, cv2.IMREAD_UNCHANGED))
+    if bytes(data[:4]) in (PNG_SIGNATURE, *TIFF_SIGNATURES):
+        found = _decode_depth(message, data)
+        return _known(found) if found.dtype == np.float32 else _metres(found)
     if len(data) <= COMPRESSED_DEPTH_HEADER.size:
         raise MessageError(f"{_name(message)}: {len(data)} bytes are no compressedDepth image; the frame is damaged")
     _, a, b = COMPRESSED_DEPTH_HEADER.unpack(bytes(data[: COMPRESSED_DEPTH_HEADER.size]))
-    values = _decode(message, data[COMPRESSED_DEPTH_HEADER.size :], cv2.IMREAD_UNCHANGED)
+    packed = data[COMPRESSED_DEPTH_HEADER.size :]
+    values = _rvl(message, packed) if message.format.endswith("rvl") else _decode_depth(message, packed)
     if not message.format.startswith("32FC1"):
         return _metres(values)
     with np.errstate(divide="ignore"):
@@ -167,7 +171,25 @@ def _metres(millimetres: NDArray[np.generic]) -> Float32:
     return millimetres.astype(np.float32) / np.float32(MM_PER_M)
 
 
-def _decode(message: Message, data: UInt8, flags: int) -> UInt8:
+def _rvl(message: Message, data: UInt8) -> NDArray[np.uint16]:
+    try:
+        return decode_rvl(data)
+    except ValueError as error:
+        raise MessageError(f"{_name(message)}: expected depth in RVL, found {error}; the frame is damaged") from None
+
+
+def _decode_depth(message: Message, data: UInt8) -> NDArray[Any]:
+    """Depth [H, W] of 16 bits, or of floating-point numbers."""
+    decoded = _decode(message, data, cv2.IMREAD_UNCHANGED)
+    if decoded.ndim != 2 or decoded.dtype not in (np.uint16, np.float32):
+        raise MessageError(
+            f"{_name(message)}: expected a depth image of one 16-bit channel, found {decoded.dtype} of shape "
+            f"{decoded.shape}; give the depth topic"
+        )
+    return decoded
+
+
+def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
     try:
         decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) else None
     except cv2.error:  # what its head says of its size is beyond all images
@@ -177,12 +199,7 @@ def _decode(message: Message, data: UInt8, flags: int) -> UInt8:
             f"{_name(message)}: {len(data)} bytes of format {message.format!r} cannot be decoded as an image; the "
             "frame is damaged or the format unknown"
         )
-    if flags == cv2.IMREAD_UNCHANGED and (decoded.ndim != 2 or decoded.dtype != np.uint16):
-        raise MessageError(
-            f"{_name(message)}: expected a depth image of one 16-bit channel, found {decoded.dtype} of shape "
-            f"{decoded.shape}; give the depth topic"
-        )
-    return decoded  # type: ignore[return-value]
+    return decoded
 
 
 def _rows(message: Message, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
