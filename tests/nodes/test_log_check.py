@@ -76,6 +76,18 @@ def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> N
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
 
 
+def test_a_camera_that_begins_late_is_not_apart_from_the_others(tmp_path: Path) -> None:
+    """What it shows belongs to theirs; that there is none in the first half is no other clock's doing."""
+    write_log(tmp_path / "all.mcap", Rig((LEFT, replace(LEFT, name="right")), BOX))
+    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "late.mcap") as late:
+        for name, record in log.metadata.items():
+            late.add_metadata(name, record)
+        for message in log.messages():
+            if not message.topic.startswith("/right/") or message.stamp > START + 30 * PERIOD:
+                late.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    assert checked(tmp_path / "late.mcap").faults == ()
+
+
 @pytest.mark.parametrize(
     ("size", "encoding", "said"),
     [

@@ -241,16 +241,19 @@ def _image_fault(content: Any, calibrated: RigCamera | None) -> str | None:
 
 
 def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
-    """Cameras whose images lie too far from those of the first one; `stamps` by topic, ns."""
+    """Cameras whose images lie too far from those of the first one while both send; `stamps` by topic, ns."""
     first = np.array(stamps[cameras[0].image], dtype=np.int64)
     faults = []
     for camera in cameras[1:]:
         own = np.array(stamps[camera.image], dtype=np.int64)
         if len(first) < 2 or len(own) < 2:
             continue
-        right = np.clip(np.searchsorted(own, first), 1, len(own) - 1)
-        skew = np.minimum(np.abs(own[right] - first), np.abs(own[right - 1] - first))
         period = float(np.median(np.diff(first)))
+        together = first[(first > own[0] - period) & (first < own[-1] + period)]
+        if not len(together):
+            continue
+        right = np.clip(np.searchsorted(own, together), 1, len(own) - 1)
+        skew = np.minimum(np.abs(own[right] - together), np.abs(own[right - 1] - together))
         if float(np.median(skew)) > SKEW_SHARE * period:
             faults.append(
                 f"camera '{camera.name}': images lie {np.median(skew) / 1e6:.1f} ms from those of "
