@@ -76,6 +76,24 @@ def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> N
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
 
 
+def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
+    """The twin would go on with the first pose, and the space that it sees would be elsewhere."""
+    path = tmp_path / "log.mcap"
+    write_log(path, Rig((LEFT,), BOX))
+    moved = LEFT.T_base_cam.copy()
+    moved[0, 3] += 0.012
+    with open_log(path) as log, LogWriter(tmp_path / "moved.mcap") as written:
+        for name, record in log.metadata.items():
+            written.add_metadata(name, record)
+        for message in log.messages():
+            written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+        for seconds, pose in ((0.1, LEFT.T_base_cam), (0.5, moved), (0.6, LEFT.T_base_cam), (0.7, moved)):
+            stamp = START + int(seconds * 1e9)
+            written.write("/tf_static", convert.tf_static(Rig((replace(LEFT, T_base_cam=pose),)), stamp), stamp)
+    (fault,) = checked(tmp_path / "moved.mcap").faults
+    assert fault.startswith("/tf_static: left_optical_frame moves by 12.0 mm and 0.0 degrees in base_link 0.5 s after")
+
+
 def test_a_camera_that_begins_late_is_not_apart_from_the_others(tmp_path: Path) -> None:
     """What it shows belongs to theirs; that there is none in the first half is no other clock's doing."""
     write_log(tmp_path / "all.mcap", Rig((LEFT, replace(LEFT, name="right")), BOX))

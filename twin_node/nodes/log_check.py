@@ -14,6 +14,7 @@ from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
@@ -111,7 +112,7 @@ def check_log(log: LogReader) -> LogCheck:
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
-    whole += _camera_faults(log, seen)
+    whole += [*_camera_faults(log, seen), *moved_frames(log, renamed(log).original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
 
 
