@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -254,3 +255,31 @@ def test_of_a_topic_whose_definition_changes_most_is_read_and_the_rest_told(tmp_
     with open_log(path) as log:
         assert [(topic.name, topic.count) for topic in log.topics] == [("/pair", 3)]
         assert log.left_out == ("/pair: 2 messages by another definition of my_msgs/msg/Pair than the 3 others",)
+
+
+IDL = (
+    "=" * 80
+    + """
+IDL: my_msgs/msg/Label
+module my_msgs { module msg { struct Label { wstring text; long double weight; }; }; };
+"""
+)
+
+
+@pytest.mark.parametrize(("form", "label"), [("ros2msg", "wstring text\nint32 n\n"), ("ros2idl", IDL)])
+def test_what_is_not_understood_is_written_whole_all_the_same(tmp_path: Path, form: str, label: str) -> None:
+    """Wide strings, and what newer distributions define: others can read them."""
+    content = b"\0\1\0\0" + bytes(32)
+
+    def fill(writer: Writer) -> None:
+        add_strings(writer)
+        schema = writer.register_schema("my_msgs/msg/Label", form, label.encode())
+        writer.add_message(writer.register_channel("/label", "cdr", schema), START, content, START)
+
+    found = repair(mcap_file(tmp_path / "log.mcap", fill), tmp_path / "whole.mcap")
+    assert (found.messages, found.left_out) == (COUNT + 1, ())
+    with (tmp_path / "whole.mcap").open("rb") as file:
+        [(schema, _, message)] = make_reader(file).iter_messages(["/label"])
+    assert schema is not None
+    assert (schema.name, schema.encoding, schema.data) == ("my_msgs/msg/Label", form, label.encode())
+    assert message.data == content

@@ -96,6 +96,13 @@ class LogReader:
             self._types_of[topic] = self._types.extended(own)
         return self._types_of[topic]
 
+    def definition(self, topic: Topic) -> str | None:
+        """What defines a topic's type, as `ros2msg`; as the log has it where that is not understood; None: nothing."""
+        types = self.types_of(topic.name)
+        if topic.msgtype in types:
+            return types.definition(topic.msgtype)
+        return max(self._definitions[topic.name], default="") or None
+
     def profiles(self, topic: str) -> tuple[Qos, ...]:
         """Quality of service that a topic's publishers offered, as its first file has it; none where none says."""
         msgtype = self._kinds.get(topic)

@@ -27,15 +27,17 @@ def repair(source: Path, output: Path) -> Repaired:
     """Copies a log's topics, metadata and readable messages to `output`: an `.mcap` file, or a new rosbag2 folder.
 
     Messages keep their times of recording and of publishing, topics their quality of service; sequence numbers begin
-    anew. Chunks that are damaged are passed over; a folder whose recorder never wrote `metadata.yaml` is taken too.
+    anew. What defines a type goes with it as it is where nobody here understands it. Chunks that are damaged are passed
+    over; a folder whose recorder never wrote `metadata.yaml` is taken too.
     Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
     """
     if os.path.lexists(output):
         raise BagError(f"{output}: exists already; remove it or choose another name for the repaired log")
     with open_log(source, unfinished=True) as log, LogWriter(output) as writer:
-        known = [topic for topic in log.topics if topic.msgtype in log.types_of(topic.name)]
+        definitions = {topic: log.definition(topic) for topic in log.topics}
+        known = [topic for topic in log.topics if definitions[topic] is not None]
         for topic in known:
-            definition = log.types_of(topic.name).definition(topic.msgtype)
+            definition = definitions[topic]
             writer.add_topic(topic.name, topic.msgtype, definition=definition, profiles=log.profiles(topic.name))
         for name, record in log.metadata.items():
             writer.add_metadata(name, record)

@@ -20,6 +20,8 @@ from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
 from twin_node.unfinished import partial_of, taken
 
+IDL_BEGIN = "=" * 80 + "\nIDL: "
+"""Of a definition in ROS 2's IDL: one section for each type, under a line that names it."""
 PROFILE, LIBRARY = "ros2", "twin_node"
 CHUNK_BYTES = 1 << 20
 """Uncompressed size at which a chunk is closed: mcap's default, half a second of one 640x480 JPEG stream."""
@@ -88,7 +90,8 @@ class LogWriter:
     ) -> None:
         """Announces a topic; needed only for what `write` cannot know.
 
-        `definition`: `ros2msg` text of a type outside of the built-in set. `latched`: None follows `qos.is_latched`.
+        `definition`: `ros2msg` or IDL text of a type outside of the built-in set; one that is not understood here is
+        kept as it is, for `write_raw`. `latched`: None follows `qos.is_latched`.
         `profiles`: quality of service of its publishers; none: reliable, and latched or not.
         """
         if self._topics.setdefault(name, msgtype) != msgtype:
@@ -96,11 +99,13 @@ class LogWriter:
         types = builtin_types()
         if definition is not None:
             types = types.extended({msgtype: definition})
+        is_foreign = definition is not None and msgtype not in types
         text = types.definition(msgtype) if definition is None else definition
+        type_hash = "" if is_foreign else types.type_hash(msgtype)
         latched = is_latched(name) if latched is None else latched
         qos = stored(profiles or [profile(latched)])
         try:
-            self._sink.add_topic(_Announced(name, msgtype, text, types.type_hash(msgtype), qos))
+            self._sink.add_topic(_Announced(name, msgtype, text, type_hash, qos))
         except OSError as error:
             raise self._refused(error) from None
 
@@ -202,7 +207,8 @@ class _FileSink:
     def add_topic(self, topic: _Announced) -> None:
         key = topic.msgtype, topic.definition
         if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(topic.msgtype, "ros2msg", topic.definition.encode())
+            form = "ros2idl" if topic.definition.startswith(IDL_BEGIN) else "ros2msg"
+            self._schemas[key] = self._writer.register_schema(topic.msgtype, form, topic.definition.encode())
         qos = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
         self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[key], qos)
         self.counts.setdefault(topic.name, 0)
