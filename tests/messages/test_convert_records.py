@@ -250,11 +250,24 @@ def test_joints_survive() -> None:
         c.joint_sample_from_message(replace(message, position=np.zeros(1)))
 
 
-@pytest.mark.parametrize("field", ["position", "velocity"])
-def test_joints_that_are_not_finite_are_refused(field: str) -> None:
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [("position", [0.0, np.inf]), ("velocity", [0.0, -np.inf]), ("position", [np.nan, np.nan])],
+)
+def test_joints_that_are_not_finite_are_refused(field: str, values: list[float]) -> None:
     message = c.joint_sample_to_message(JointSample(STAMP, ("a", "b"), np.zeros(2), np.zeros(2)))
     with pytest.raises(MessageError, match="not finite"):
-        c.joint_sample_from_message(replace(message, **{field: np.array([0.0, np.nan])}))
+        c.joint_sample_from_message(replace(message, **{field: np.array(values)}))
+
+
+def test_what_a_joint_does_not_tell_is_nan() -> None:
+    """By ros2_control, of a gripper beside an arm on one topic: the arm's joints are not lost with it."""
+    sample = JointSample(STAMP, ("arm", "gripper", "gauge"), np.array([0.1, 0.2, np.nan]), np.array([1.0, np.nan, 2.0]))
+    message = sent(c.joint_sample_to_message(sample))
+    found = c.joint_sample_from_message(message)
+    assert_same(found, JointSample(STAMP, ("arm", "gripper"), np.array([0.1, 0.2]), np.array([1.0, 0.0])))
+    assert c.has_velocities(message, ("arm",)) and not c.has_velocities(message, ("arm", "gripper"))
+    assert not c.has_velocities(replace(message, velocity=np.zeros(0)), ("arm",))
 
 
 def path() -> JointPath:

@@ -113,6 +113,16 @@ def test_an_arm_whose_joints_come_without_velocities_is_known_to_move() -> None:
     assert cell.somebody().reason == "slow for MOVING"
 
 
+def test_an_arm_beside_a_gripper_that_tells_no_velocity_is_known() -> None:
+    """ros2_control's broadcaster says NaN for it, in one message with the arm's joints."""
+    cell = Cell()
+    message = convert.joint_sample_to_message(JointSample(cell.clock.now(), MODEL.joint_names, READY, TURNING))
+    message.name.append("gripper")
+    message.position, message.velocity = np.append(message.position, 0.02), np.append(message.velocity, np.nan)
+    cell.bus.publish(JOINT_STATES, message)
+    assert cell.somebody().reason == "slow for MOVING"
+
+
 def test_joints_that_have_stopped_coming_stop_the_arm_and_it_says_so() -> None:
     cell = Cell()
     cell.joints(qd=np.zeros(6))
@@ -157,7 +167,7 @@ def test_an_arm_of_which_nothing_is_told_that_can_be_believed_stands_and_is_none
             if told == "NaN path":
                 cell.path(begins_ms=0, lasts_ms=200, velocity=TURNING * np.nan)
             elif told == "NaN joints":
-                cell.joints(qd=TURNING * np.nan)
+                cell.joints(READY * np.nan)
             else:
                 cell.bus.publish(JOINT_STATES, convert.joint_sample_to_message(some))
         reason = str(refusal.value)

@@ -171,7 +171,8 @@ class ArmNode(Node):
     def _on_joints(self, message: Message) -> None:
         try:
             sample = convert.joint_sample_from_message(message)
-            self._arm.take_joints(sample, len(message.velocity) > 0, self._share if self._is_live else 1.0)
+            tells_velocities = convert.has_velocities(message, self._checker.model.joint_names)
+            self._arm.take_joints(sample, tells_velocities, self._share if self._is_live else 1.0)
         except TwinError as error:
             self._arm.refuse(str(error))
             raise

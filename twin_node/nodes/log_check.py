@@ -81,7 +81,7 @@ class _Seen:
     count: int = 0
     contents: list[Any] = field(default_factory=list)
     largest: list[float] = field(default_factory=list)
-    """Of every JointState's positions, without sign; NaN where one is none."""
+    """Of every JointState's positions that are told, without sign; NaN where none is."""
 
     @property
     def busiest(self) -> _Stream:
@@ -135,7 +135,9 @@ def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
         delays = [message.stamp - stamp]
         if message.msgtype == JOINT_STATE:
             names = tuple(content.name)
-            seen.largest.append(float(np.abs(content.position).max(initial=0.0)))
+            told = ~np.isnan(content.position)
+            is_any = bool(told.any() or not len(told))
+            seen.largest.append(float(np.abs(content.position[told]).max(initial=0.0)) if is_any else np.nan)
         elif seen.count % every == 0:
             seen.contents.append(content)
     stream = seen.streams.setdefault(names, _Stream())

@@ -1,6 +1,7 @@
 """The records of `twin_node.scene` as messages, and back."""
 
 from twin_node.messages.convert.arm import (
+    has_velocities,
     joint_path_from_message,
     joint_path_to_message,
     joint_sample_from_message,
@@ -74,6 +75,7 @@ __all__ = [
     "frusta_to_markers",
     "gaussians_from_pointcloud2",
     "gaussians_to_pointcloud2",
+    "has_velocities",
     "joint_path_from_message",
     "joint_path_to_message",
     "joint_sample_from_message",

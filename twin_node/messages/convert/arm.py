@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from twin_node.messages.convert.camera import BASE_FRAME
@@ -22,9 +24,11 @@ def joint_sample_to_message(sample: JointSample) -> Message:
 
 
 def joint_sample_from_message(message: Message) -> JointSample:
-    """Sample from a `sensor_msgs/msg/JointState`; velocities are 0 where the message has none.
+    """Sample from a `sensor_msgs/msg/JointState`; velocities are 0 where the message has none, see `has_velocities`.
 
-    Raises `MessageError` where names and positions differ in number or a value is not finite.
+    NaN is what ros2_control's joint_state_broadcaster has for what a joint does not tell: joints with such positions
+    are left out. Raises `MessageError` where names and positions differ in number, no joint is left, or a value is
+    infinite.
     """
     names = tuple(message.name)
     positions = np.array(message.position, dtype=np.float64)
@@ -34,9 +38,21 @@ def joint_sample_from_message(message: Message) -> JointSample:
             f"JointState at {header_stamp(message)} ns: {len(names)} names, {len(positions)} positions, "
             f"{len(velocities)} velocities; expected as many of each"
         )
-    if not (np.isfinite(positions).all() and np.isfinite(velocities).all()):
+    told = ~np.isnan(positions)
+    if np.isinf(positions).any() or np.isinf(velocities).any() or not (told.any() or not names):
         raise MessageError(f"JointState at {header_stamp(message)} ns: a position or velocity is not finite")
-    return JointSample(stamp=header_stamp(message), names=names, positions=positions, velocities=velocities)
+    return JointSample(
+        stamp=header_stamp(message),
+        names=tuple(name for name, is_told in zip(names, told, strict=True) if is_told),
+        positions=positions[told],
+        velocities=np.nan_to_num(velocities[told], nan=0.0),
+    )
+
+
+def has_velocities(message: Message, joints: Collection[str]) -> bool:
+    """Whether a `sensor_msgs/msg/JointState` tells the velocities of all of some joints that it tells of."""
+    told = dict(zip(message.name, message.velocity, strict=False))
+    return all(name in told and not np.isnan(told[name]) for name in message.name if name in joints)
 
 
 def joint_path_to_message(path: JointPath) -> Message:
