@@ -25,7 +25,7 @@ from twin_node.arm.separation import ArmMotion, Encounter, hazards
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
-from twin_node.scene import JointPath, ObstacleKind, ObstacleShape
+from twin_node.scene import NO_EVIDENCE, JointPath, ObstacleKind, ObstacleShape
 
 
 def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
@@ -175,8 +175,9 @@ def test_unknown_space_follows_the_policy(ur5e_checker: ArmCollisionChecker) -> 
 def test_what_comes_after_the_arm_has_stopped_does_not_count(ur5e_checker: ArmCollisionChecker) -> None:
     close = beside_the_tool(ur5e_checker, 0.12)
     stop_ms = 1e3 * (REACTION_S + stopping_table("ur5e").stop(TURNING).duration_s)
+    now_far_away = Thing((0.0, -5.0, 0.5))  # the forecast begins at once
     late = replace(close, valid_ms=(int(stop_ms) + 5, 200))
-    assert decided(ur5e_checker, late).speed_fraction == 1.0
+    assert decided(ur5e_checker, now_far_away, late).speed_fraction == 1.0
     in_time = replace(close, valid_ms=(20, 200))
     assert decided(ur5e_checker, in_time).speed_fraction == 0.0
 
@@ -274,7 +275,7 @@ GOOD = ahead(TURNING)
     [
         (replace(GOOD, stamps=GOOD.stamps[::-1]), REACTION_S, "expected strictly increasing stamps"),
         (replace(GOOD, stamps=np.full(21, NOW)), REACTION_S, "expected strictly increasing stamps"),
-        (replace(GOOD, positions=GOOD.positions[:5]), REACTION_S, "expected one pose per stamp, found 5 and 21"),
+        (replace(GOOD, positions=GOOD.positions[:5]), REACTION_S, "one angle per stamp and joint, found "),
         (replace(GOOD, stamps=GOOD.stamps[:0], positions=GOOD.positions[:0]), REACTION_S, "found no sample"),
         (GOOD, -1.0, "reaction_s: expected 0 or more seconds, found -1"),
         (GOOD, np.nan, "reaction_s: expected 0 or more seconds, found nan"),
@@ -301,3 +302,30 @@ def test_a_law_that_gives_no_number_lets_nothing_move(ur5e_checker: ArmCollision
     unknown = Encounter(found, pair, pair, np.full(1, np.nan), one, motion, SeparationParameters())
     assert np.isnan(unknown.shortfall(1.0)).all()
     assert unknown.largest_share() == 0.0
+
+
+@pytest.mark.parametrize("left_m", [0.02, 0.1, 0.28])
+@pytest.mark.parametrize("early_ms", [30, 57])
+def test_what_a_forecast_holds_first_is_there_before_it_begins(
+    ur5e_checker: ArmCollisionChecker, left_m: float, early_ms: int
+) -> None:
+    at_once = beside_the_tool(ur5e_checker, left_m)
+    slow = 0.05 * TURNING  # stands before the forecast begins, so soon that nothing would come in time
+    for velocity in (TURNING, slow):
+        later = replace(at_once, valid_ms=(early_ms, 200 + early_ms))
+        expected = decided(ur5e_checker, at_once, velocity=velocity)
+        found = decided(ur5e_checker, later, velocity=velocity)
+        assert found.speed_fraction <= expected.speed_fraction + 0.2
+        assert (found.reason, found.distance) == (expected.reason, pytest.approx(expected.distance, abs=1e-6))
+
+
+def test_without_any_forecast_the_arm_stands() -> None:
+    found = decide(ArmCollisionChecker("ur5e"), ahead(TURNING), NOW, REACTION_S)
+    assert (found.speed_fraction, found.evidence_stamp) == (0.0, NO_EVIDENCE)
+
+
+def test_a_time_of_another_clock_is_refused(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.1)))
+    up_s = 3600 * 10**9  # such as time.monotonic_ns() gives
+    with pytest.raises(ArmError, match="clock of the obstacles' stamps"):
+        decide(ur5e_checker, ahead(TURNING, up_s), up_s, REACTION_S)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.errors import ArmError
+from twin_node.arm.limiter import standing
 from twin_node.arm.separation import ArmMotion, Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import forward_kinematics, place_capsules
-from twin_node.scene import Float64, JointPath, ObstacleKind, Separation
+from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, ObstacleKind, Separation
 
 _POSES = 5
 """Poses along the next 200 ms from which closing speeds are taken: the forecast's own horizons."""
@@ -30,17 +32,23 @@ def decide(
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
     from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
     that falls most short at full speed decides and is named: its distance and closing speed are from the arm's present
-    pose to where the obstacles will be. `distance` is the smallest of any pair along the path. Raises `ArmError` or
-    `RobotError` for a wrong path or time, and for the table of another arm.
+    pose to where the obstacles will be. `distance` is the smallest of any pair along the path. An arm whose checker was
+    never given obstacles stands; how old evidence may be (`evidence_stamp`), `SpeedLimiter` and the driver judge.
+    Raises `ArmError` or `RobotError` for a wrong path or time, a time of another clock than the obstacles', and for the
+    table of another arm.
     """
     law = parameters or SeparationParameters()
     _refuse_wrong(path, reaction_s)
+    evidence = checker.obstacles.source.stamp
+    if len(checker.obstacles) == 0 and evidence == NO_EVIDENCE:
+        return standing(stamp, NO_EVIDENCE, "stopped: no forecast yet")
+    _refuse_future(evidence, stamp)
     positions = checker.model.order(path.names, path.positions)
     seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     motion = ArmMotion(stamp, reaction_s, _fastest(positions, seconds), stopping)
-    closest = checker.closest(positions, np.minimum(path.stamps, _forecast_end(checker, stamp)))
+    closest = checker.closest(positions, _told_of(checker, path.stamps))
     picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
     pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
     closing = _closing(pairs, seconds[picked])
@@ -52,13 +60,25 @@ def _refuse_wrong(path: JointPath, reaction_s: float) -> None:
     """What would be computed with and come out as clear."""
     if len(path.stamps) == 0:
         raise ArmError("joint path: expected at least the arm's present pose, found no sample; check the trajectory")
-    if len(path.positions) != len(path.stamps):
-        found = f"{len(path.positions)} and {len(path.stamps)}"
-        raise ArmError(f"joint path: expected one pose per stamp, found {found}; check the trajectory")
+    if np.shape(path.positions) != (len(path.stamps), len(path.names)):
+        raise ArmError(
+            f"joint path: expected positions of shape ({len(path.stamps)}, {len(path.names)}), one angle per stamp and "
+            f"joint, found {np.shape(path.positions)}; check the trajectory"
+        )
     if len(path.stamps) > 1 and np.diff(path.stamps).min() <= 0:
         raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
     if not 0 <= reaction_s < np.inf:
         raise ArmError(f"reaction_s: expected 0 or more seconds, found {reaction_s:g}; measure it")
+
+
+def _refuse_future(evidence: int, stamp: int) -> None:
+    """Of evidence that comes later than any forecast looks ahead nobody knows how old it is."""
+    ahead_s = (evidence - stamp) * 1e-9
+    if ahead_s > HORIZONS_NS[-1] * 1e-9:
+        raise ArmError(
+            f"decision: expected a time by the clock of the obstacles' stamps, found one {ahead_s:.3g} s before their "
+            "evidence; use that clock for both, or keep the computers' clocks together (chrony, PTP)"
+        )
 
 
 def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches, encounter: Encounter) -> Separation:
@@ -94,10 +114,11 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
     )
 
 
-def _forecast_end(checker: ArmCollisionChecker, stamp: int) -> int:
-    """Last time (ns) that obstacles of every kind speak of: later poses are held against the last of them."""
+def _told_of(checker: ArmCollisionChecker, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stamps [T] (ns) drawn into the time of which obstacles of every kind speak: at others they count as nearest."""
     ends = [checker.obstacles.last_valid(kind) for kind in ObstacleKind]
-    return min((end for end in ends if end is not None), default=stamp)
+    end = min((end for end in ends if end is not None), default=stamps[0])
+    return np.minimum(np.maximum(stamps, checker.obstacles.source.begins), end)
 
 
 def _fastest(positions: Float64, seconds: Float64) -> Float64:

@@ -163,7 +163,8 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     """How the law looks at obstacles at a time (ns).
 
     What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
-    its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen.
+    its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen. What the first layer
+    holds is there before that begins: a forecast begins when it is expected to be read, at times after it is.
     """
     source, kinds = obstacles.source, obstacles.kinds
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
@@ -182,7 +183,9 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         keeps_still=keeps_still,
         moves=np.asarray(kinds == ObstacleKind.MOVING),
         speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
-        valid_from=source.valid_from,
+        valid_from=np.where(
+            source.valid_from <= source.begins + _SAME_LAYER_NS, np.minimum(source.valid_from, stamp), source.valid_from
+        ),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
         reaches=_reaches(obstacles),
