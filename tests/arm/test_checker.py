@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -233,3 +234,14 @@ def test_wrong_trajectories_are_refused(ur5e_checker: ArmCollisionChecker) -> No
         Attachment("bad", np.zeros((2, 3)), np.ones(1))
     with pytest.raises(ArmError, match="attachment bad: expected finite ends and positive radii"):
         Attachment("bad", np.zeros((1, 2, 3)), np.zeros(1))
+
+
+@pytest.mark.parametrize("name", ["kinds", "shapes", "valid_from", "valid_to", "velocities"])
+def test_columns_of_another_length_are_refused(ur5e_checker: ArmCollisionChecker, name: str) -> None:
+    placed = random_obstacles(5, 0)
+    with pytest.raises(ArmError, match=f"obstacles: expected 5 .*{name}.*found 4"):
+        ur5e_checker.update(replace(placed, **{name: getattr(placed, name)[:-1]}))
+
+
+def test_an_arm_comes_from_a_file_by_its_path() -> None:
+    assert ArmCollisionChecker(Path("sim/ur3e.xml")).model.joints == 6

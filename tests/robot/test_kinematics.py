@@ -101,5 +101,8 @@ def test_wrong_joint_values_are_refused() -> None:
         model.order(model.joint_names, np.array([0, 0, -1e300, 0, 0, 0]))
     with pytest.raises(RobotError, match="publish elbow_joint too"):
         model.order(tuple(name for name in model.joint_names if name != "elbow_joint"), np.zeros(5))
+    for count in (0, 5, 7):
+        with pytest.raises(RobotError, match=rf"expected one per name .*found shape \({count},\)"):
+            model.ordered_positions(JointSample(0, model.joint_names, np.zeros(count), np.zeros(6)))
     with pytest.raises(RobotError, match="expected one of ur3e, ur5e, ur10e, ur16e"):
         ur_model("ur7")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ class ArmCollisionChecker:
 
     def __init__(
         self,
-        model: ArmModel | str = "ur5e",
+        model: ArmModel | str | Path = "ur5e",
         tool: Attachment | None = None,
         max_obstacles: int = 1024,
         allowed: Sequence[AllowedRegion] = (),
@@ -91,7 +92,7 @@ class ArmCollisionChecker:
 
         Raises `RobotError` for an unknown arm.
         """
-        self.bare_model = arm_model(model) if isinstance(model, str) else model
+        self.bare_model = model if isinstance(model, ArmModel) else arm_model(model)
         self._allowed = tuple(allowed)
         self._max_obstacles = max_obstacles
         self._attachments: dict[str, Attachment] = {} if tool is None else {tool.name: tool}

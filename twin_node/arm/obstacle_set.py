@@ -125,6 +125,14 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
                 f"obstacles: expected {count} rows of finite {name} of at most {_FARTHEST:g}, found {len(values)} "
                 f"rows, {int(wild.sum())} values not finite or larger; check the forecast"
             )
+    for name, column in (
+        ("kinds", obstacles.kinds),
+        ("shapes", obstacles.shapes),
+        ("valid_from", obstacles.valid_from),
+        ("valid_to", obstacles.valid_to),
+    ):
+        if len(column) != count:
+            raise ArmError(f"obstacles: expected {count} {name}, one per id, found {len(column)}; check the forecast")
     for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
         if told is not None and (len(told) != count or not (np.abs(told) <= _FARTHEST).all()):
             raise ArmError(

@@ -82,7 +82,7 @@ class ArmModel:
     def order(self, names: Sequence[str], values: NDArray[np.floating]) -> Float64:
         """Values [..., n] given under `names` as [..., J] in the model's own order: drivers publish joints in any.
 
-        Raises `RobotError` where a joint is missing, or a value is not finite or beyond `FARTHEST_RAD`.
+        Raises `RobotError` where a joint or its value is missing, or a value is not finite or beyond `FARTHEST_RAD`.
         """
         missing = [name for name in self.joint_names if name not in names]
         if missing:
@@ -90,7 +90,13 @@ class ArmModel:
                 f"joint values: expected {', '.join(self.joint_names)}, found {', '.join(names) or 'none'}; "
                 f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
             )
-        ordered = np.asarray(values, dtype=np.float64)[..., [list(names).index(name) for name in self.joint_names]]
+        given = np.asarray(values, dtype=np.float64)
+        if given.ndim == 0 or given.shape[-1] != len(names):
+            raise RobotError(
+                f"joint values: expected one per name ({', '.join(names)}), found shape {given.shape}; give as many "
+                "values as names, zeros for velocities that nobody measures"
+            )
+        ordered = given[..., [list(names).index(name) for name in self.joint_names]]
         _refuse_wild(ordered)
         return ordered
 

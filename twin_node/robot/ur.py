@@ -207,5 +207,6 @@ def joint_origins(dh: DhParameters) -> Float64:
 
 def _arm(name: str) -> _UrArm:
     if name not in _ARMS:
-        raise RobotError(f"arm {name!r}: expected one of {', '.join(UR_NAMES)}, or an MJCF file; check the name")
+        known = ", ".join(UR_NAMES)
+        raise RobotError(f"arm {name!r}: expected one of {known}, or an MJCF or URDF file; check the name")
     return _ARMS[name]
