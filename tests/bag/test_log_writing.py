@@ -8,9 +8,18 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
-from twin_node.bag import BagError, LogWriter, open_log
-from twin_node.messages import Message, MessageError, definition, message_type, type_hash
+from twin_node.bag import BagError, LogWriter, RecordingWriter, open_log
+from twin_node.messages import (
+    Message,
+    MessageError,
+    builtin_types,
+    definition,
+    message_type,
+    serialize,
+    type_hash,
+)
 
 STRING = "std_msgs/msg/String"
 
@@ -29,14 +38,16 @@ def test_nothing_is_left_after_an_exception(tmp_path: Path, name: str) -> None:
 
 def test_what_stood_there_stays_until_the_log_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    path.write_bytes(b"precious")
+    with LogWriter(path) as log:
+        log.write("/a", text("precious"), 0)
+    precious = path.read_bytes()
     with pytest.raises(RuntimeError), LogWriter(path) as log:
         log.write("/a", text("a"), 0)
         raise RuntimeError
-    assert path.read_bytes() == b"precious"
+    assert path.read_bytes() == precious
     with LogWriter(path) as log:
         log.write("/a", text("a"), 0)
-        assert path.read_bytes() == b"precious"
+        assert path.read_bytes() == precious
     with open_log(path) as reader:
         assert [m.message.data for m in reader.messages()] == ["a"]
     assert list(tmp_path.iterdir()) == [path]
@@ -187,3 +198,44 @@ def test_the_hash_of_a_topic_is_that_of_the_definition_it_is_given(tmp_path: Pat
     hashes = {channel.topic: channel.metadata["topic_type_hash"] for channel in summary.channels.values()}
     assert hashes["/text"] == type_hash(STRING)
     assert hashes["/twin/status"] != type_hash("twin_msgs/msg/TwinStatus")
+
+
+def test_a_log_that_can_be_made_again_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.touch()  # as who reserves a name leaves it
+    for word in ("a", "b"):
+        with LogWriter(path) as log:
+            log.write("/a", text(word), 0)
+    with open_log(path) as reader:
+        assert [m.message.data for m in reader.messages()] == ["b"]
+
+
+@pytest.mark.parametrize("kind", ["recording", "recorded", "of others", "text"])
+def test_what_cannot_be_made_again_is_not_replaced(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "log.mcap"
+    if kind == "text":
+        path.write_text("my notes")
+    elif kind == "of others":
+        with path.open("wb") as file:
+            others = Writer(file)
+            others.start("ros2", "libmcap 1.4.0")
+            others.finish()
+    elif kind == "recording":
+        with RecordingWriter(path) as recording:
+            recording.write("/a", STRING, serialize(text("a")), 0, builtin_types())
+    else:
+        with LogWriter(path, recorded=True) as log:
+            log.write("/a", text("a"), 0)
+    before = path.read_bytes()
+    with pytest.raises(BagError, match=r"log\.mcap: expected a new name.*choose another name"):
+        LogWriter(path)
+    assert (path.read_bytes(), [one.name for one in tmp_path.iterdir()]) == (before, ["log.mcap"])
+
+
+def test_messages_of_one_topic_are_asked_for_by_its_name(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", text("a"), 0)
+        log.write("/b", text("b"), 1)
+    with open_log(tmp_path / "log.mcap") as reader:
+        assert [m.topic for m in reader.messages("/b")] == ["/b"]
+        assert [m.topic for m in reader.messages("/b/long")] == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from struct import Struct
 from struct import error as StructError
 from typing import BinaryIO
@@ -28,6 +29,8 @@ STRING_HEAD_BYTES = 4
 """Before a string: its length."""
 MOST_CHUNK_BYTES = 1 << 30
 """Of a chunk's content; writers close theirs after some megabytes. A few damaged bytes must not take all memory."""
+MOST_HEADER_BYTES = 1 << 16
+"""Of a header: the names of a profile and a library."""
 ZEROS = "found zeros in place of a record"
 
 
@@ -68,6 +71,18 @@ def parsed(file: BinaryIO, frame: Frame) -> McapRecord:
     """A record; a chunk's data is not opened. Raises `DAMAGED`, as do all that read records."""
     file.seek(frame.start)
     return next(StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None).records)
+
+
+def library_of(path: Path) -> str | None:
+    """Which library says that it wrote an MCAP file; None where it is none, or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return None
+            first = next(StreamReader(file, skip_magic=True, record_size_limit=MOST_HEADER_BYTES).records)
+    except (OSError, StopIteration, *DAMAGED):
+        return None
+    return first.library if isinstance(first, Header) else None
 
 
 def is_header(record: McapRecord, size: int) -> bool:

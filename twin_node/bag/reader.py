@@ -138,7 +138,7 @@ class LogReader:
 
     def messages(
         self,
-        topics: Collection[str] | None = None,
+        topics: Collection[str] | str | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
         *,
@@ -146,9 +146,12 @@ class LogReader:
     ) -> Iterator[LogMessage]:
         """Messages in log-time order (ties as stored); of the log, only the parts about that time are in memory.
 
-        `topics`: names, None for all. From `start_ns` on and before `stop_ns`. Parts that hold none of these are not
-        read; where one that is read is damaged, the messages end (`past_damage`: go on after it), and `damage` tells.
+        `topics`: names, or one; None for all. From `start_ns` on and before `stop_ns`. Parts that hold none of these
+        are not read; where one that is read is damaged, the messages end (`past_damage`: go on after it), and `damage`
+        tells.
         """
+        if isinstance(topics, str):
+            topics = (topics,)
         start = NO_START if start_ns is None else start_ns
         stop = NO_STOP if stop_ns is None else stop_ns
         streams = [

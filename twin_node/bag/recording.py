@@ -17,7 +17,7 @@ from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles
-from twin_node.bag.writer import LIBRARY, PROFILE
+from twin_node.bag.writer import PROFILE, RECORDER
 from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
@@ -213,7 +213,7 @@ class RecordingWriter:
             path = path / f"{path.name}_{len(self._files)}.mcap"
         stream = path.open("xb")
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
-        writer.start(PROFILE, LIBRARY)
+        writer.start(PROFILE, RECORDER)
         stream.flush()  # before the metadata names it: an empty file is no log
         self._files.append(_File(path, stream, writer))
         self._disk.ask(path.parent)

@@ -33,7 +33,7 @@ def repair(source: Path, output: Path) -> Repaired:
     """
     if os.path.lexists(output):
         raise BagError(f"{output}: exists already; remove it or choose another name for the repaired log")
-    with open_log(source, unfinished=True) as log, LogWriter(output) as writer:
+    with open_log(source, unfinished=True) as log, LogWriter(output, recorded=True) as writer:
         definitions = {topic: log.definition(topic) for topic in log.topics}
         known = [topic for topic in log.topics if definitions[topic] is not None]
         for topic in known:

@@ -16,13 +16,18 @@ from rosbags.interfaces import Qos
 from twin_node.bag.folder_metadata import FolderFile, FolderTopic, write_metadata
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
+from twin_node.bag.mcap_records import library_of
 from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
 from twin_node.unfinished import partial_of, taken
 
 IDL_BEGIN = "=" * 80 + "\nIDL: "
 """Of a definition in ROS 2's IDL: one section for each type, under a line that names it."""
-PROFILE, LIBRARY = "ros2", "twin_node"
+PROFILE = "ros2"
+LIBRARY = "twin_node"
+"""Written into logs that a command makes of something, and can make again: such a log may be replaced."""
+RECORDER = "twin_node record"
+"""Written into logs of what happened once."""
 CHUNK_BYTES = 1 << 20
 """Uncompressed size at which a chunk is closed: mcap's default, half a second of one 640x480 JPEG stream."""
 
@@ -58,24 +63,27 @@ class _Sink(Protocol):
 class LogWriter:
     """Writes a log by stream; use it as a context manager.
 
-    `path` ends in `.mcap` for one MCAP file (an existing one is replaced at the end), or has no suffix for a new
-    rosbag2 folder. All goes to a sibling ending in `.partial`, which takes the name when the log is closed; if the
-    context ends with an exception it is removed, and whatever stood at `path` is untouched. A sibling that is there
-    already is another writer's, or all that is left of a log whose writer was killed: it is refused. The same calls
-    give the same bytes.
+    `path` ends in `.mcap` for one MCAP file, or has no suffix for a new rosbag2 folder. An `.mcap` file that is empty,
+    or that a `LogWriter` made, is replaced at the end; any other is refused: a recording cannot be made again. All goes
+    to a sibling ending in `.partial`, which takes the name when the log is closed; if the context ends with an
+    exception it is removed, and whatever stood at `path` is untouched. A sibling that is there already is another
+    writer's, or all that is left of a log whose writer was killed: it is refused. The same calls give the same bytes.
 
-    `compression` of the chunks: none by default, as `ros2 bag record`, because images are compressed.
+    `compression` of the chunks: none by default, as `ros2 bag record`, because images are compressed. `recorded`: what
+    is written happened once, and no other writer is to replace it.
     Raises `BagError` for a wrong path, stamp or type, and when the disk refuses.
     """
 
-    def __init__(self, path: Path | str, compression: Literal["none", "zstd", "lz4"] = "none") -> None:
+    def __init__(
+        self, path: Path | str, compression: Literal["none", "zstd", "lz4"] = "none", *, recorded: bool = False
+    ) -> None:
         self.path = Path(path)
         self._topics: dict[str, str] = {}
         self._closed = False
         try:
             if not self.path.parent.is_dir():
                 raise BagError(f"{self.path}: folder {self.path.parent} does not exist; create it first")
-            self._sink = _open_sink(self.path, compression)
+            self._sink = _open_sink(self.path, CompressionType[compression.upper()], recorded)
         except OSError as error:
             raise self._refused(error) from None
 
@@ -171,22 +179,37 @@ class LogWriter:
         return BagError(f"{self.path}: cannot be written ({error.strerror}); free space or choose another place")
 
 
-def _open_sink(path: Path, compression: Literal["none", "zstd", "lz4"]) -> _Sink:
+def _open_sink(path: Path, compression: CompressionType, recorded: bool) -> _Sink:
+    library = RECORDER if recorded else LIBRARY
     if path.suffix == ".mcap":
         if path.is_dir():
             raise BagError(f"{path}: is a folder; expected the name of a file")
-        return _FileSink(path, CompressionType[compression.upper()])
+        _refuse_recording(path)
+        return _FileSink(path, compression, library)
     if path.suffix:
         raise BagError(f"{path}: expected a name ending in .mcap, or one without an ending for a rosbag2 folder")
     if path.exists():
         raise BagError(f"{path}: exists already; remove it or choose another name")
-    return _FolderSink(path, CompressionType[compression.upper()])
+    return _FolderSink(path, compression, library)
+
+
+def _refuse_recording(path: Path) -> None:
+    """Raises `BagError` for a file that could not be made again."""
+    if not path.exists() or path.stat().st_size == 0:
+        return
+    library = library_of(path)
+    if library != LIBRARY:
+        found = "something else" if library is None else f"a recording ({library})"
+        raise BagError(
+            f"{path}: expected a new name, or a log made by a command that can make it again, found {found}; move it "
+            "elsewhere or choose another name"
+        )
 
 
 class _FileSink:
     """One MCAP file."""
 
-    def __init__(self, path: Path, compression: CompressionType) -> None:
+    def __init__(self, path: Path, compression: CompressionType, library: str) -> None:
         self._path = path
         self._partial = partial_of(path)
         try:
@@ -194,7 +217,7 @@ class _FileSink:
         except FileExistsError:
             raise BagError(taken(path)) from None
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
-        self._writer.start(PROFILE, LIBRARY)
+        self._writer.start(PROFILE, library)
         self._schemas: dict[tuple[str, str], int] = {}
         """By type and definition."""
         self._channels: dict[str, int] = {}
@@ -239,7 +262,7 @@ class _FileSink:
 class _FolderSink:
     """A rosbag2 folder around one file, which carries the folder's name; it grows inside a `.partial` folder."""
 
-    def __init__(self, path: Path, compression: CompressionType) -> None:
+    def __init__(self, path: Path, compression: CompressionType, library: str) -> None:
         self._path = path
         self._partial = partial_of(path)
         for left in (self._partial / path.name, self._partial):
@@ -253,7 +276,7 @@ class _FolderSink:
         self._name = f"{path.name}.mcap"
         try:
             self._folder.mkdir()
-            self._file = _FileSink(self._folder / self._name, compression)
+            self._file = _FileSink(self._folder / self._name, compression, library)
         except OSError:
             shutil.rmtree(self._partial, ignore_errors=True)
             raise

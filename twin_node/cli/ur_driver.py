@@ -91,7 +91,7 @@ def _run(options: argparse.Namespace) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
             signal.signal(number, pace.end)
         if options.output is not None:
-            log = stack.enter_context(LogWriter(options.output))
+            log = stack.enter_context(LogWriter(options.output, recorded=True))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
             recorder = RecorderNode(bus, pace.clock, log, topics)
             recorder.configure()
