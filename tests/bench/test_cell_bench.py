@@ -145,7 +145,7 @@ def test_what_cannot_be_run_is_refused(short: FilePath, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["demo"], "--rig: expected one scenario, whose cameras are measured, found SHORT demo"),
+        (["demo"], "--cameras: expected one scenario, whose cameras are measured, found SHORT demo"),
         (["--twin", "--latency", "20"], "leave out --twin and --latency"),
         ([], "scenario brief: expected more than a second to measure, found 0.5 s"),
     ],
@@ -155,9 +155,9 @@ def test_the_speed_of_one_rig_is_measured(
 ) -> None:
     brief = short.with_name("brief.yaml")
     brief.write_text("extends: short\nname: brief\nduration_s: 0.5\nsensing: {width: 32, height: 24}\n")
-    assert main(["bench", "cell", str(brief), *arguments, "--rig"]) == 2
+    assert main(["bench", "cell", str(brief), *arguments, "--cameras"]) == 2
     assert says.replace("SHORT", str(brief)) in capsys.readouterr().err
-    assert main(["bench", "cell", "all", "--rig"]) == 2
+    assert main(["bench", "cell", "all", "--cameras"]) == 2
     assert "found all; give one" in capsys.readouterr().err
 
 

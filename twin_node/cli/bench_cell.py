@@ -64,7 +64,7 @@ def add_bench_cell(benches: Any) -> None:
     )
     cell.add_argument("--processes", type=whole, default=2, metavar="N", help="runs at once (default 2)")
     cell.add_argument(
-        "--rig", action="store_true", help="only measure how fast the cameras of one scenario are rendered"
+        "--cameras", action="store_true", help="only measure how fast the cameras of one scenario are rendered"
     )
     cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
     cell.add_argument("--json", action="store_true", help="print one JSON object")
@@ -72,8 +72,8 @@ def add_bench_cell(benches: Any) -> None:
 
 
 def _bench_cell(options: argparse.Namespace) -> None:
-    if options.rig:
-        _bench_rig(options)
+    if options.cameras:
+        _bench_cameras(options)
         return
     from twin_node.arm import SeparationParameters, UnknownPolicy
     from twin_node.bench import cell
@@ -112,15 +112,14 @@ def _bench_cell(options: argparse.Namespace) -> None:
     print(json_text(figures) if options.json else cell.table(figures))
 
 
-def _bench_rig(options: argparse.Namespace) -> None:
+def _bench_cameras(options: argparse.Namespace) -> None:
     from twin_node.bench.errors import BenchError
     from twin_node.bench.rig_speed import measure
     from twin_node.cell import load_scenario
 
     if len(options.scenarios) > 1 or options.scenarios == ["all"]:
-        raise BenchError(
-            f"--rig: expected one scenario, whose cameras are measured, found {' '.join(options.scenarios)}; give one"
-        )
+        found = " ".join(options.scenarios)
+        raise BenchError(f"--cameras: expected one scenario, whose cameras are measured, found {found}; give one")
     given = {
         "--twin": options.twin,
         "--same-eyes": options.same_eyes,
@@ -130,7 +129,7 @@ def _bench_rig(options: argparse.Namespace) -> None:
     }
     names = [name for name, is_given in given.items() if is_given]
     if names:
-        raise BenchError(f"--rig: cameras are measured without arm and twin; leave out {' and '.join(names)}")
+        raise BenchError(f"--cameras: cameras are measured without arm and twin; leave out {' and '.join(names)}")
     figures = asdict(measure(load_scenario(options.scenarios[0]), options.processes))
     print(json_text(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
 
