@@ -76,6 +76,15 @@ def test_files_of_other_writers_are_read(tmp_path: Path, byte_order: str) -> Non
     assert_same(gaussians, read_ply(path))
 
 
+def test_a_header_with_lines_of_windows_is_read(tmp_path: Path) -> None:
+    gaussians = stored(3, 1)
+    path = tmp_path / "cloud.ply"
+    write_ply(gaussians, path)
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    path.write_bytes((header + b"end_header\n").replace(b"\n", b"\r\n") + body)
+    assert_same(gaussians, read_ply(path))
+
+
 def test_a_cloud_keeps_its_looks(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     cloud = GaussianCloud(

@@ -148,7 +148,9 @@ _TYPES = {
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:
-    end = data.find(b"end_header\n")
+    new_line = b"\r\n" if data.startswith(b"ply\r\n") else b"\n"  # as its first line ends: what follows is binary
+    last = b"end_header" + new_line
+    end = data.find(last)
     if not data.startswith(b"ply") or end < 0:
         raise ModelError(f"{path}: expected a PLY file with a header, found none; export it in the 3DGS layout")
     order, count, fields, in_vertex = "", -1, [], False
@@ -177,7 +179,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             f"{path}: expected a format and an element vertex with properties, each once, in the header; "
             "the file is damaged"
         )
-    return _Header(end + len(b"end_header\n"), count, np.dtype(fields))
+    return _Header(end + len(last), count, np.dtype(fields))
 
 
 def _from_table(table: np.ndarray, path: Path) -> StoredGaussians:
