@@ -153,3 +153,14 @@ def test_a_trajectory_without_points_ends_the_one_before(tmp_path: Path) -> None
         shown = playback.at(START + PERIOD).path
         assert shown is not None and shown.names == path.names
         assert playback.at(START + 3 * PERIOD).path is None
+
+
+def test_depth_alone_shows_no_camera_and_says_so(twin_log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "depth.mcap"
+    with LogWriter(path) as log:
+        depth = convert.depth_image("front", START, np.ones((4, 6), np.float32))
+        log.write("/front/depth/image_rect", depth, START)
+    with Playback([twin_log, path]) as playback:
+        assert playback.cameras == ()
+        assert [line for line in playback.left_out if "depth.mcap: depth without colour images" in line]
+        assert playback.at(START).cloud is not None

@@ -11,13 +11,22 @@ from twin_node.bag.latched import newest_before
 from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.renaming import Renamed, of_log, renamed
 from twin_node.nodes.snapshot import Snapshot
-from twin_node.nodes.topics import JOINT_STATES, RECORDED, TF_STATIC, CameraTopics, GraphError, find_cameras
+from twin_node.nodes.topics import (
+    DEPTH_BY_NAME,
+    JOINT_STATES,
+    RECORDED,
+    TF_STATIC,
+    CameraTopics,
+    GraphError,
+    find_cameras,
+    has_colour,
+    has_images,
+)
 from twin_node.rig import FrameAssembler
 from twin_node.scene import Camera
 
 LONGEST_STEP_NS = 2_000_000_000
 """A step forward in time that is no longer is read through; after a longer one each topic's newest is looked for."""
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 class Playback:
@@ -63,8 +72,12 @@ class Playback:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What of the logs is not read, a line each; see `LogReader.left_out`."""
-        return tuple(f"{log.path}: not read: {line}" for log in self._logs for line in log.left_out)
+        """What of the logs is not read, a line each; see `LogReader.left_out`. Depth alone shows no camera."""
+        lines = [f"{log.path}: not read: {line}" for log in self._logs for line in log.left_out]
+        for log, names in zip(self._logs, self._names, strict=True):
+            if has_images(names.spoken) and not has_colour(names.spoken):
+                lines.append(f"{log.path}: depth without colour images: no camera is shown; {DEPTH_BY_NAME}")
+        return tuple(lines)
 
     @property
     def apart(self) -> tuple[str, ...]:
@@ -153,7 +166,7 @@ class Playback:
         self, width: int | None, rig_file: Path | None
     ) -> tuple[Mapping[str, CameraTopics], FrameAssembler | None]:
         for log, names in zip(self._logs, self._names, strict=True):
-            if any(kind in IMAGE_TYPES for kind in names.spoken.values()):
+            if has_colour(names.spoken):
                 with damage_first(log):
                     cameras = find_cameras(names.spoken, str(log.path))
                     in_log = tuple(names.original_camera(camera) for camera in cameras)

@@ -88,6 +88,11 @@ _SUFFIXES = {
 
 _ALIGNED_DEPTH = ("aligned_depth", "depth_registered", "depth_to_")
 """In the names of depth that a driver has aligned with the colour image (realsense2_camera, openni2_camera, Azure)."""
+DEPTH_BY_NAME = (
+    "what says depth is taken for depth, so give colour images other names, by --remap FROM:=TO where the command has "
+    "that"
+)
+"""What to do where all images are taken for depth."""
 _NO_PART_OF_A_NAME = re.compile(r"[*$?#%\s]")
 """What keys and tokens of the wire give a meaning of its own, and what no name of ROS has."""
 
@@ -161,21 +166,21 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
     What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
+    images = [topic for topic in types if types[topic] in (COMPRESSED, RAW)]
+    images.sort(key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
     depth: dict[str, str] = {}
-    for topic in sorted(types, key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t)):
-        if types[topic] in (COMPRESSED, RAW) and ("depth" in topic or not topic.endswith("/compressedDepth")):
-            (depth if "depth" in topic else colour).setdefault(camera_of(topic), topic)
+    for topic in images:
+        if _is_depth(topic):
+            depth.setdefault(camera_of(topic), topic)
+        elif _is_colour(topic):
+            colour.setdefault(camera_of(topic), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
-        renamed = (
-            "what says depth is taken for depth, so give colour images other names, by --remap FROM:=TO where the "
-            "command has that"
-        )
         missing = "record the cameras too, or import videos with 'twin_node import video'"
         raise GraphError(
             f"{source}: no image topic; expected sensor_msgs/CompressedImage or Image on /<camera>/image_raw, found "
-            f"topics: {held}; {renamed if depth else missing}"
+            f"topics: {held}; {DEPTH_BY_NAME if depth else missing}"
         )
     return tuple(
         CameraTopics(
@@ -190,6 +195,24 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
         )
         for name, topic in sorted(colour.items())
     )
+
+
+def has_images(types: Mapping[str, str]) -> bool:
+    """Whether a log with these topics (name -> type) has images of any kind."""
+    return any(kind in (COMPRESSED, RAW) for kind in types.values())
+
+
+def has_colour(types: Mapping[str, str]) -> bool:
+    """Whether a log with these topics (name -> type) has colour images, as `find_cameras` tells them from depth."""
+    return any(kind in (COMPRESSED, RAW) and _is_colour(topic) for topic, kind in types.items())
+
+
+def _is_depth(topic: str) -> bool:
+    return "depth" in topic
+
+
+def _is_colour(topic: str) -> bool:
+    return not _is_depth(topic) and not topic.endswith("/compressedDepth")
 
 
 def camera_of(topic: str) -> str:
