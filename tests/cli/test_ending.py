@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
+from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -76,3 +80,27 @@ def test_a_page_ends_though_what_loads_has_swallowed_the_signal() -> None:
 
     with pytest.raises(Terminated), ended_in_order(), view._interrupts() as is_interrupted:
         swallowing(is_interrupted)
+
+
+def test_an_interrupt_that_comes_while_a_compiled_module_loads_is_raised_after_it() -> None:
+    """NumPy and torch load parts of themselves from C: what was raised there was gone, and the command went on."""
+
+    source = """
+import signal
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException:
+    pass
+loaded = True
+"""
+    module = ModuleType("swallowing")
+    in_import = compile("def exec_module(self, module): exec(source, module.__dict__)", "<frozen importlib._x>", "exec")
+    space: dict[str, Any] = {"source": source}
+    exec(in_import, space)
+    with pytest.raises(KeyboardInterrupt), ended_in_order():
+        space["exec_module"](ExtensionFileLoader("swallowing", "swallowing.so"), module)
+        threading.Event().wait(60)
+    assert module.loaded
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
