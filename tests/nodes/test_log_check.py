@@ -57,11 +57,11 @@ def test_cameras_whose_clocks_the_log_knows_are_not_apart(tmp_path: Path, offset
 
 
 def test_what_a_replay_would_refuse_is_found(tmp_path: Path) -> None:
-    """One camera implies no workspace, and one image of each camera is no set yet: nobody knows what comes next."""
+    """A camera that looks up implies no workspace; one image of each is no set yet: nobody knows what comes next."""
     alone, seldom = tmp_path / "alone.mcap", tmp_path / "seldom.mcap"
     write_log(alone, Rig((LEFT,)))
     (fault,) = checked(alone).faults
-    assert fault.startswith("camera left: expected two or more to derive the workspace from, found this one alone; ")
+    assert fault.startswith("camera left: expected views from different sides to derive the workspace from, or ")
     write_log(alone, Rig((LEFT,), BOX))
     assert checked(alone).faults == ()
     write_log(seldom, Rig((LEFT, replace(LEFT, name="right")), BOX), sets=1, apart_ns=5 * MS)

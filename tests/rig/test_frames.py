@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -125,12 +126,28 @@ def test_cameras_below_the_base_see_below_it() -> None:
     assert workspace_of(FrameAssembler(lowered, width=160).cameras)[0, 2] < -2
 
 
+TWIN = replace(CAMERAS[0], name="twin", T_base_cam=pose(np.eye(3), np.array([0.0, 0.1, 0])) @ CAMERAS[0].T_base_cam)
+"""Beside the first camera, and looking the same way."""
+
+
+@pytest.mark.parametrize("chosen", [CAMERAS[:1], (CAMERAS[0], TWIN)])
+def test_parallel_views_and_one_alone_look_at_what_the_arm_stands_on(chosen: Sequence[RigCamera]) -> None:
+    cameras = FrameAssembler(chosen, width=160).cameras
+    eye, axis = cameras[0].T_base_cam[:3, 3], cameras[0].T_base_cam[:3, 2]
+    looked_at = eye - axis * eye[2] / axis[2]
+    lower, upper = workspace_of(cameras)
+    assert (lower < looked_at).all() and (looked_at < upper).all()
+    assert lower[2] == pytest.approx(-0.05, abs=1e-9)
+    assert upper[2] < eye[2]
+
+
 @pytest.mark.parametrize(
-    ("names", "found"), [(["left"], "two or more .*, found this one alone"), (["left", "twin"], "found parallel ones")]
+    ("chosen", "found"), [(CAMERAS[:1], "found this one alone"), ((CAMERAS[0], TWIN), "found parallel ones")]
 )
-def test_parallel_views_imply_no_workspace(names: list[str], found: str) -> None:
-    left = CAMERAS[0]
-    twin = replace(left, name="twin", T_base_cam=pose(np.eye(3), np.array([0.0, 0.1, 0])) @ left.T_base_cam)
-    chosen = [c for c in (left, twin) if c.name in names]
+@pytest.mark.parametrize("raised_m", [-3.0, 40.0])
+def test_what_looks_at_nothing_near_implies_no_workspace(
+    chosen: Sequence[RigCamera], found: str, raised_m: float
+) -> None:
+    raised = [replace(c, T_base_cam=pose(np.eye(3), np.array([0, 0, raised_m])) @ c.T_base_cam) for c in chosen]
     with pytest.raises(RigError, match=rf"{found}; give a rig file \(--rig RIG.yaml\) with `workspace"):
-        workspace_of(FrameAssembler(chosen, width=160).cameras)
+        workspace_of(FrameAssembler(raised, width=160).cameras)

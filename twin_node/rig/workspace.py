@@ -13,6 +13,9 @@ from twin_node.scene import Bool, Camera, Float64
 FLOOR_M = -0.05
 """Lower end of a derived volume where all cameras stand above the base: the arm stands on what they look at (z = 0)."""
 
+FARTHEST_M = 5.0
+"""Where a camera looks at the base's plane tells where its work is only this near to it."""
+
 RANGE = (0.15, 1.25)
 """Depths that count as seen, as shares of a camera's distance to the point that all look at: not lens or far wall."""
 
@@ -31,26 +34,15 @@ _GIVE_IT = "give a rig file (--rig RIG.yaml) with `workspace: {min, max}`"
 def workspace_of(cameras: Sequence[Camera]) -> Float64:
     """The box [2, 3] (lower and upper corner, metres, `base_link`) about what most of the cameras see together.
 
-    Raises `RigError` where fewer than two cameras see anything together, or their axes are too parallel to tell at what
-    distance.
+    It lies about the point that all look at; of one camera, or parallel ones, about where they look at the plane that
+    the arm stands on. Raises `RigError` where these do not look down at it, or cameras see nothing together.
     """
-    if len(cameras) == 1:
-        raise RigError(
-            f"camera {cameras[0].name}: expected two or more to derive the workspace from, found this one "
-            f"alone; {_GIVE_IT}"
-        )
     poses = np.stack([camera.T_base_cam for camera in cameras])
-    if axes_spread(poses) < MIN_AXES_SPREAD:
-        names = ", ".join(camera.name for camera in cameras)
-        raise RigError(
-            f"cameras {names}: expected views from different sides to derive the workspace from, found parallel ones; "
-            f"{_GIVE_IT}"
-        )
-    focus, centres = axes_focus(poses), poses[:, :3, 3]
-    distances = np.linalg.norm(centres - focus, axis=1)
+    focus = axes_focus(poses) if axes_spread(poses) >= MIN_AXES_SPREAD else _focus_on_plane(cameras, poses)
+    distances = np.linalg.norm(poses[:, :3, 3] - focus, axis=1)
     reach = distances.mean() * RANGE[1]
     lower, upper = focus - reach, focus + reach
-    if (centres[:, 2] > 0).all():
+    if (poses[:, 2, 3] > 0).all():
         lower[2] = max(lower[2], FLOOR_M)
     cells = _cells(lower, upper)
     seen_by = sum(_sees(c, cells, d).astype(np.int64) for c, d in zip(cameras, distances, strict=True))
@@ -62,6 +54,20 @@ def workspace_of(cameras: Sequence[Camera]) -> Float64:
     half_cell = (upper - lower) / (2 * CELLS)
     box = np.percentile(seen, [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT], axis=0)
     return np.asarray(box + np.stack([-half_cell, half_cell]))
+
+
+def _focus_on_plane(cameras: Sequence[Camera], poses: Float64) -> Float64:
+    """Mean point [3] at which cameras' axes meet z = 0, m. Raises `RigError` where one does not, or only far away."""
+    heights, slopes = poses[:, 2, 3], poses[:, 2, 2]
+    away = heights / np.maximum(-slopes, 1e-9)  # upward, or along it: beyond all that is near
+    if not ((away > 0) & (away <= FARTHEST_M)).all():
+        names = ", ".join(camera.name for camera in cameras)
+        found = "this one alone" if len(cameras) == 1 else "parallel ones"
+        raise RigError(
+            f"camera {names}: expected views from different sides to derive the workspace from, or of the plane that "
+            f"the arm stands on within {FARTHEST_M:g} m, found {found}; {_GIVE_IT}"
+        )
+    return np.asarray((poses[:, :3, 3] + away[:, None] * poses[:, :3, 2]).mean(0))
 
 
 def axes_focus(poses: Float64) -> Float64:
