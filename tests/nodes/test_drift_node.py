@@ -110,6 +110,19 @@ def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
     assert header_stamp(told[-1]) > 3_000_000_000
 
 
+def test_a_recording_whose_clock_begins_at_0_keeps_its_first_set() -> None:
+    """So begin the stamps of imported videos that say how many frames there are per second."""
+    bus, passed = LocalBus(), []
+    node = DriftNode(bus, SteppedClock(), DriftParameters())
+    bus.subscribe(TRUSTED_FRAMES, passed.append)
+    node.configure()
+    node.activate()
+    image = np.zeros((96, 128, 3), np.uint8)
+    for stamp in (0, 100_000_000):
+        bus.publish(FRAMES, frames_of({"left": image}, stamp))
+    assert [frames.stamp for frames in passed] == [0, 100_000_000]
+
+
 @pytest.mark.parametrize(("clock", "is_left_out"), [(SystemClock(), True), (SteppedClock(), False)], ids=["day", "log"])
 def test_a_camera_that_was_moved_stays_out_when_the_computers_clock_is_put_back(
     clock: Clock, is_left_out: bool

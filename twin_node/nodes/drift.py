@@ -46,7 +46,8 @@ class DriftNode(Node):
         self._watch: DriftWatch
         self._told: tuple[Verdict, ...] = ()
         self._next = 0
-        self._passed = 1
+        self._passed: int | None = None
+        """Stamp of the last set that was passed on, ns."""
 
     def on_configure(self) -> None:
         fresh = DriftWatch(self._parameters)
@@ -54,15 +55,17 @@ class DriftNode(Node):
         self.bus.subscribe(FRAMES, self._on_frames)
 
     def on_cleanup(self) -> None:
-        self._passed = 1
+        self._passed = None
 
     def _on_frames(self, frames: FrameSet) -> None:
         report = self._watch.update(frames)
         self.bus.publish(DRIFT, report)
         self._tell(report)
         trusted = tuple(view for view in frames.views if view.camera.name not in report.distrusted)
-        stamp = max((view.stamp for view in trusted), default=0)
-        if stamp >= self._passed:  # without its newest camera a set may reach less far than the one before it
+        if not trusted:
+            return
+        stamp = max(view.stamp for view in trusted)
+        if self._passed is None or stamp >= self._passed:  # without its newest camera a set may reach less far
             self._passed = stamp
             self.bus.publish(TRUSTED_FRAMES, replace(frames, stamp=stamp, views=trusted))
 
