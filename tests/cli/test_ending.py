@@ -16,6 +16,7 @@ from twin_node import cli
 from twin_node.bag import LogWriter
 from twin_node.cli import view
 from twin_node.cli.ending import SIGNALS, Terminated, ended_in_order
+from twin_node.messages import message_type
 
 
 @pytest.fixture(autouse=True)
@@ -104,3 +105,25 @@ loaded = True
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("arguments", "status"), [(["--version"], 0), (["info", "not_there.mcap"], 2)])
+def test_streams_that_were_closed_are_no_failure(
+    arguments: list[str], status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by `>&- 2>&-`, or a service manager: Python has no streams then."""
+    monkeypatch.setattr("sys.stdout", None)
+    monkeypatch.setattr("sys.stderr", None)
+    if status:
+        assert cli.main(arguments) == status
+    else:
+        with pytest.raises(SystemExit) as ended:
+            cli.main(arguments)
+        assert ended.value.code == status
+
+
+def test_output_of_a_closed_stream_goes_nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("sys.stdout", None)
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", message_type("std_msgs/msg/String")(data="a"), 0)
+    assert cli.main(["info", str(tmp_path / "log.mcap")]) == 0

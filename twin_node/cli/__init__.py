@@ -28,6 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     (`twin_node info LOG | head -1`), as if SIGPIPE had ended it.
     """
     collect_rarely()
+    _replace_closed()
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what the terminal has no letter for
     try:
@@ -58,6 +59,14 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"twin_node: error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
         return 2
     return status if isinstance(status, int) else 0
+
+
+def _replace_closed() -> None:
+    """What was closed by who started us (`>&-`) leads nowhere, and not into the next file that is opened."""
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
 
 
 def _end_of(error: BaseException | None) -> KeyboardInterrupt | Terminated | None:
