@@ -1,5 +1,6 @@
 """Images through messages and back; depth never lets anything through but finite metres."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -226,3 +227,33 @@ def test_quantised_inverse_depth_of_compressed_depth_transport() -> None:
 def test_depth_that_is_none_is_refused(message: Message, words: str) -> None:
     with pytest.raises(MessageError, match=words):
         depth_from_message(message)
+
+
+@pytest.mark.parametrize("make", [raw_image, compressed_image])
+@pytest.mark.parametrize(
+    "rgb",
+    [
+        np.zeros((4, 6, 3), np.float32),
+        np.zeros((4, 6), np.uint8),
+        np.zeros((4, 6, 4), np.uint8),
+        np.zeros((0, 6, 3), np.uint8),
+    ],
+)
+def test_what_is_no_rgb_image_is_refused(make: Callable[..., Message], rgb: np.ndarray) -> None:
+    """It would be written, and black or torn when it is read."""
+    with pytest.raises(MessageError, match=r"camera front: expected an RGB image \[H, W, 3\] of uint8, found \["):
+        make("front", 0, rgb)
+
+
+@pytest.mark.parametrize("make", [depth_image, compressed_depth_image])
+@pytest.mark.parametrize("depth", [np.full((4, 6), 1500, np.uint16), np.ones((4, 6, 1), np.float32)])
+def test_depth_in_millimetres_is_not_taken_for_metres(make: Callable[..., Message], depth: np.ndarray) -> None:
+    """As a RealSense's driver gives it."""
+    with pytest.raises(MessageError, match=r"camera front: expected depth \[H, W\] in metres.*divide millimetres by"):
+        make("front", 0, depth)
+
+
+@pytest.mark.parametrize("make", [depth_image, compressed_depth_image])
+def test_depth_may_lie_in_memory_in_any_order(make: Callable[..., Message]) -> None:
+    turned = np.arange(24, dtype=np.float64).reshape(6, 4).T
+    np.testing.assert_array_equal(depth_from_message(make("front", 0, turned)), turned)

@@ -52,30 +52,59 @@ COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 
 
 def raw_image(camera: str, stamp: int, rgb: UInt8) -> Message:
-    """`sensor_msgs/msg/Image` (rgb8) of an image [H, W, 3]."""
+    """`sensor_msgs/msg/Image` (rgb8) of an image [H, W, 3]; raises `MessageError` for any other array."""
+    _check_rgb(camera, rgb)
     height, width = rgb.shape[:2]
     return _image(camera, stamp, np.ascontiguousarray(rgb).reshape(height, -1), width, "rgb8")
 
 
 def compressed_image(camera: str, stamp: int, rgb: UInt8, quality: int = JPEG_QUALITY) -> Message:
-    """`sensor_msgs/msg/CompressedImage` (JPEG of the given quality, 0 to 100) of an image [H, W, 3]."""
+    """`sensor_msgs/msg/CompressedImage` (JPEG of the given quality, 0 to 100) of an image [H, W, 3].
+
+    Raises `MessageError` for any other array.
+    """
+    _check_rgb(camera, rgb)
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
     jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return _compressed(camera, stamp, "bgr8; jpeg compressed bgr8", jpeg)
 
 
 def depth_image(camera: str, stamp: int, depth: Float32, encoding: Literal["16UC1", "32FC1"] = "32FC1") -> Message:
-    """`sensor_msgs/msg/Image` of depth [H, W] in metres, 0 where unknown: millimetres (16UC1) or metres (32FC1)."""
-    known = _known(depth)
+    """`sensor_msgs/msg/Image` of depth [H, W] in metres, 0 where unknown: millimetres (16UC1) or metres (32FC1).
+
+    Raises `MessageError` for whole numbers, which are a camera's millimetres, and for an array of another shape.
+    """
+    _check_depth(camera, depth)
+    known = np.ascontiguousarray(_known(depth))
     values: NDArray[np.generic] = _millimetres(known) if encoding == "16UC1" else known
     return _image(camera, stamp, values.view(np.uint8), depth.shape[1], encoding)
 
 
 def compressed_depth_image(camera: str, stamp: int, depth: Float32) -> Message:
-    """`sensor_msgs/msg/CompressedImage` of depth [H, W] in metres: PNG in mm (compressed_depth_image_transport)."""
+    """`sensor_msgs/msg/CompressedImage` of depth [H, W] in metres: PNG in mm (compressed_depth_image_transport).
+
+    Raises `MessageError` as `depth_image` does.
+    """
+    _check_depth(camera, depth)
     png = cv2.imencode(".png", _millimetres(_known(depth)), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
     config = np.frombuffer(COMPRESSED_DEPTH_HEADER.pack(0, 0.0, 0.0), dtype=np.uint8)
     return _compressed(camera, stamp, "16UC1; compressedDepth png", np.concatenate([config, png]))
+
+
+def _check_rgb(camera: str, rgb: UInt8) -> None:
+    if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.size == 0:
+        raise MessageError(
+            f"camera {camera}: expected an RGB image [H, W, 3] of uint8, found {list(rgb.shape)} of {rgb.dtype}; "
+            "convert it"
+        )
+
+
+def _check_depth(camera: str, depth: Float32) -> None:
+    if not np.issubdtype(depth.dtype, np.floating) or depth.ndim != 2 or depth.size == 0:
+        raise MessageError(
+            f"camera {camera}: expected depth [H, W] in metres, of a floating-point type, found {list(depth.shape)} of "
+            f"{depth.dtype}; divide millimetres by 1000"
+        )
 
 
 def rgb_from_message(message: Message) -> UInt8:
