@@ -239,3 +239,10 @@ def test_messages_of_one_topic_are_asked_for_by_its_name(tmp_path: Path) -> None
     with open_log(tmp_path / "log.mcap") as reader:
         assert [m.topic for m in reader.messages("/b")] == ["/b"]
         assert [m.topic for m in reader.messages("/b/long")] == []
+
+
+def test_a_message_after_the_end_is_refused(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/a", text("a"), 0)
+    with pytest.raises(BagError, match=r"log\.mcap: closed already, found another message on /a"):
+        log.write("/a", text("lost"), 1)

@@ -71,7 +71,7 @@ class LogWriter:
 
     `compression` of the chunks: none by default, as `ros2 bag record`, because images are compressed. `recorded`: what
     is written happened once, and no other writer is to replace it.
-    Raises `BagError` for a wrong path, stamp or type, and when the disk refuses.
+    Raises `BagError` for a wrong path, stamp or type, for messages after `close`, and when the disk refuses.
     """
 
     def __init__(
@@ -126,6 +126,8 @@ class LogWriter:
     ) -> None:
         """Writes CDR bytes of a message at a log time in ns, published at that time or another."""
         check_log_time(stamp_ns, topic, self.path)
+        if self._closed:
+            raise BagError(f"{self.path}: closed already, found another message on {topic}; write it before")
         try:
             if self._topics.get(topic) != msgtype:
                 self.add_topic(topic, msgtype)
