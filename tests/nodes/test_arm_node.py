@@ -18,10 +18,10 @@ from twin_node.nodes import arm as arm_node
 from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION
-from twin_node.robot import forward_kinematics, ur_model
+from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Float64, JointSample
+from twin_node.scene import JointSample
 
 PARAMETERS = ArmParameters("ur5e")
 COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
@@ -355,48 +355,3 @@ def test_obstacles_in_another_frame_are_refused(frame: str) -> None:
     with pytest.raises(TwinError, match=f"expected them in base_link, found {frame!r}"):
         cell.somebody(frame=frame)
     assert cell.somebody(frame="/base_link").reason == "slow for MOVING"
-
-
-def obeying(cell: Cell, q: Float64, periods: int) -> Float64:
-    """Joints at 125 Hz from `q` on, forecasts every 32 ms of somebody in the arm's way; gives back its last joints."""
-    at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
-    for i in range(periods):
-        cell.wait(8)
-        share = cell.told[-1].speed_fraction if cell.told else 0.0
-        q = q + TURNING * share * 0.008
-        cell.joints(q, TURNING * share)
-        if i % 4 == 0:
-            cell.somebody(at=at)
-    return q
-
-
-def test_an_arm_of_which_only_joints_are_known_does_not_creep_up_to_who_stands_in_its_way() -> None:
-    """Stopped, it seemed to close in on nobody, and was told to go on until it moved: 4 % of its speed every 66 ms."""
-    cell = Cell(Timers())
-    stopped = obeying(cell, READY, 300)
-    assert cell.told[-1].reason == "stopped for MOVING"
-    np.testing.assert_array_equal(obeying(cell, stopped, 300), stopped)
-
-
-def test_nor_does_one_that_was_stopped_before_its_node_began() -> None:
-    """It was never seen at a twentieth of its speed, from which on its program was learnt: it crept up to 4 cm."""
-    cell, at = Cell(Timers()), forward_kinematics(MODEL, READY + 0.4 * TURNING)[-1, :3, 3]
-    q, share = READY, 0.0
-    for i in range(300):
-        cell.wait(8)
-        q = q + TURNING * share * 0.008
-        cell.joints(q, TURNING * share)
-        if i % 4 == 0:
-            share = cell.somebody(at=at).speed_fraction
-    assert cell.told[-1].reason == "stopped for MOVING"
-    assert np.abs(q - READY).max() < 0.005
-
-
-def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> None:
-    cell = Cell(Timers())
-    stopped = obeying(cell, READY, 400)
-    at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
-    for _ in range(30):
-        cell.wait(8)
-        cell.joints(stopped, -0.3 * TURNING)
-    assert cell.somebody(at=at).reason in ("clear", "not closing in")
