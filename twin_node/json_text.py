@@ -9,13 +9,18 @@ from typing import Any
 
 
 def json_text(figures: Mapping[str, object], indent: int | None = None) -> str:
-    """One JSON object; it knows no NaN and no infinity, so null stands for what is not known."""
-    return json.dumps(_without_nan(figures), indent=indent, allow_nan=False)
+    """One JSON object, with null for what is not `known`."""
+    return json.dumps(known(figures), indent=indent, allow_nan=False)
 
 
-def _without_nan(value: Any) -> Any:
+def known(figures: Mapping[str, object]) -> dict[str, Any]:
+    """The figures with None for NaN and infinities, however deep: JSON knows neither. Tuples become lists."""
+    return {name: _known(value) for name, value in figures.items()}
+
+
+def _known(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _without_nan(inner) for key, inner in value.items()}
+        return known(value)
     if isinstance(value, list | tuple):
-        return [_without_nan(inner) for inner in value]
+        return [_known(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

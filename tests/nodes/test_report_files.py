@@ -2,21 +2,46 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 
-from twin_node.nodes.report.figures import _plain
+from twin_node.forecast import ForecastQuality
+from twin_node.model import WindowModel
+from twin_node.nodes.chain_parameters import ChainParameters
+from twin_node.nodes.collector import CollectorNode
+from twin_node.nodes.replay import Run
+from twin_node.nodes.report.figures import figures_of
+from twin_node.nodes.report.foresight import Foresight
 from twin_node.nodes.report.page import ReportError, _write
+from twin_node.nodes.report.quality import Quality
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SteppedClock
+from twin_node.scene import Separation
 
 
-def test_figures_that_are_not_finite_are_null_however_deep() -> None:
-    """JSON knows no NaN: a strict reader would refuse the whole file."""
-    figures = {"cameras": {"left": {"changes": [{"turn_deg": float("nan"), "at_s": 1.0}]}}}
-    assert json.loads(json.dumps(_plain(figures), allow_nan=False))["cameras"]["left"]["changes"] == [
-        {"turn_deg": None, "at_s": 1.0}
-    ]
+def short_run() -> Run:
+    """One whose only forecast has not come due: its figures are not numbers, or infinite."""
+    collector = CollectorNode(LocalBus(), SteppedClock(), None)
+    collector.quality = ForecastQuality(float("nan"), 0.99, 0.1, 0.5, np.zeros(6))
+    collector.separations = [Separation.without_pair(0, 0, 1.0, "clear")]
+    model = cast(WindowModel, None)
+    return Run(ChainParameters(), 1, 1, 0, 0.1, 100.0, 1000.0, model, 10, collector, None, None)
+
+
+def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:
+    figures = figures_of(short_run(), Quality(), {}, Foresight())
+    unknown = {
+        f"{section}.{name}"
+        for section in ("forecast", "arm", "quality")
+        for name, value in figures[section].items()
+        if value is None
+    }
+    assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown <= set(figures["reasons"])
+    assert figures["forecast"]["coverage_target"] == 0.99
+    assert "near" in figures["reasons"]["arm.min_distance_m"]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])

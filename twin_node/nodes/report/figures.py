@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin_node.forecast import ForecastQuality
+from twin_node.json_text import known
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.foresight import Foresight
@@ -40,9 +40,8 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "cameras": _cameras(collector),
         "warnings": dict(collector.warnings),
     }
-    figures["reasons"] = _reasons(figures, foresight)
-    plain: dict[str, Any] = _plain(figures)
-    return plain
+    found = known(figures)
+    return {**found, "reasons": _reasons(found, foresight, collector)}
 
 
 def _cameras(collector: CollectorNode) -> dict[str, Any]:
@@ -85,15 +84,21 @@ def _percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
     return {f"p{p}": float(np.percentile(milliseconds, p)) for p in (50, 95, 99)}
 
 
-def _reasons(figures: Mapping[str, Any], foresight: Foresight) -> dict[str, str]:
+def _reasons(figures: Mapping[str, Any], foresight: Foresight, collector: CollectorNode) -> dict[str, str]:
     """Why a figure is None."""
+    unscored = (
+        f"the truth ({foresight.truth}) cannot tell"
+        if foresight.recalls
+        else "nothing moved at a time that had been foreseen"
+    )
+    unjudged = "no forecast was made" if collector.quality is None else "no forecast was judged by what moved later"
     reasons = {
-        f"forecast.{name}": "nothing moved at a time that had been foreseen"
-        if not foresight.recalls
-        else f"the truth ({foresight.truth}) cannot tell"
+        f"forecast.{name}": unjudged if name in ("coverage", "coverage_target") else unscored
         for name, value in figures["forecast"].items()
         if value is None
     }
+    undecided = "no obstacle was near the arm" if collector.separations else "no speed was decided"
+    reasons |= {f"arm.{name}": undecided for name, value in figures["arm"].items() if value is None}
     for name, value in figures["quality"].items():
         if value is None:
             has_no_time = figures["mode"] == "lockstep" and name.startswith(("published", "moved_on"))
@@ -105,14 +110,3 @@ def _reasons(figures: Mapping[str, Any], foresight: Foresight) -> dict[str, str]
     if not figures["quality"]["left_out"]:
         reasons["quality.left_out"] = "one camera cannot be left out of one"
     return reasons
-
-
-def _plain(value: Any) -> Any:
-    """The value with non-finite numbers as None: JSON knows neither."""
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +15,7 @@ import numpy as np
 from jinja2 import Environment
 
 from twin_node.errors import TwinError
+from twin_node.json_text import json_text
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
@@ -64,7 +64,7 @@ def write_report(run: Run, session: LogSession, folder: Path, step: Callable[[],
     step()
     figures = figures_of(run, quality, left_out, foresight)
     html = _page(session, run, figures, strips.taken, foresight)
-    _write(folder, dict(zip(FILES, (json.dumps(figures, indent=2) + "\n", html), strict=True)))
+    _write(folder, dict(zip(FILES, (json_text(figures, 2) + "\n", html), strict=True)))
     step()
 
 
