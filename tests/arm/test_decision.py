@@ -196,6 +196,18 @@ def test_an_earlier_layer_ends_and_the_last_goes_on(ur5e_checker: ArmCollisionCh
     assert after.obstacle_id != 100
 
 
+def test_obstacles_of_one_layer_may_end_some_milliseconds_apart(ur5e_checker: ArmCollisionChecker) -> None:
+    """As others than the twin may publish them: the one that ends first is not gone when it does."""
+    ur5e_checker.update(
+        obstacles(
+            beside_the_tool(ur5e_checker, 0.12, valid_ms=(150, 190)),
+            beside_the_tool(ur5e_checker, 0.9, valid_ms=(150, 200)),
+        )
+    )
+    after = NOW + 195 * MS
+    assert decide(ur5e_checker, ahead(TURNING, after), after, REACTION_S).speed_fraction == 0.0
+
+
 def test_the_distance_is_taken_along_the_path(ur5e_checker: ArmCollisionChecker) -> None:
     found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.3))
     assert found.distance < ur5e_checker.distance(READY).distance
@@ -277,6 +289,8 @@ GOOD = ahead(TURNING)
         (replace(GOOD, stamps=np.full(21, NOW)), REACTION_S, "expected strictly increasing stamps"),
         (replace(GOOD, positions=GOOD.positions[:5]), REACTION_S, "one angle per stamp and joint, found "),
         (replace(GOOD, stamps=GOOD.stamps[:0], positions=GOOD.positions[:0]), REACTION_S, "found no sample"),
+        (replace(GOOD, stamps=GOOD.stamps + 40 * MS), REACTION_S, "found one that begins 40 ms later"),
+        (replace(GOOD, stamps=GOOD.stamps - 40 * MS), REACTION_S, "found one that begins -40 ms later"),
         (GOOD, -1.0, "reaction_s: expected 0 or more seconds, found -1"),
         (GOOD, np.nan, "reaction_s: expected 0 or more seconds, found nan"),
         (GOOD, np.inf, "reaction_s: expected 0 or more seconds, found inf"),

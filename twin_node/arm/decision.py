@@ -29,16 +29,16 @@ def decide(
 ) -> Separation:
     """Speed that the separation law leaves an arm now (ns) that means to follow a path ahead, at its full speed.
 
-    `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it. `reaction_s` is the measured time
-    from now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. The pair
-    that falls most short at full speed decides and is named: its distance and closing speed are from the arm's present
-    pose to where the obstacles will be. `distance` is the smallest of any pair along the path. An arm whose checker was
-    never given obstacles stands; how old evidence may be (`evidence_stamp`), `SpeedLimiter` and the driver judge.
-    Raises `ArmError` or `RobotError` for a wrong path or time, a time of another clock than the obstacles', and for the
-    table of another arm.
+    `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it; one that does not is refused.
+    `reaction_s` is the measured time from now until the arm begins to brake. `table` is the arm's stopping data, by
+    default those of its name. The pair that falls most short at full speed decides and is named: its distance and
+    closing speed are from the arm's present pose to where the obstacles will be. `distance` is the smallest of any pair
+    along the path. An arm whose checker was never given obstacles stands; how old evidence may be (`evidence_stamp`),
+    `SpeedLimiter` and the driver judge. Raises `ArmError` or `RobotError` for a wrong path or time, a time of another
+    clock than the obstacles', and for the table of another arm.
     """
     law = parameters or SeparationParameters()
-    _refuse_wrong(path, reaction_s)
+    _refuse_wrong(path, stamp, reaction_s)
     evidence = checker.obstacles.source.stamp
     if len(checker.obstacles) == 0 and evidence == NO_EVIDENCE:
         return standing(stamp, NO_EVIDENCE, "stopped: no forecast yet")
@@ -56,7 +56,7 @@ def decide(
     return _settle(checker, closest, pairs, encounter)
 
 
-def _refuse_wrong(path: JointPath, reaction_s: float) -> None:
+def _refuse_wrong(path: JointPath, stamp: int, reaction_s: float) -> None:
     """What would be computed with and come out as clear."""
     if len(path.stamps) == 0:
         raise ArmError("joint path: expected at least the arm's present pose, found no sample; check the trajectory")
@@ -67,6 +67,12 @@ def _refuse_wrong(path: JointPath, reaction_s: float) -> None:
         )
     if len(path.stamps) > 1 and np.diff(path.stamps).min() <= 0:
         raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
+    if path.stamps[0] != stamp:
+        late_ms = (int(path.stamps[0]) - stamp) / 1e6
+        raise ArmError(
+            f"joint path: expected one that begins at the time of the decision, found one that begins {late_ms:g} ms "
+            "later; take the next 200 ms from that time on (`path_ahead`)"
+        )
     if not 0 <= reaction_s < np.inf:
         raise ArmError(f"reaction_s: expected 0 or more seconds, found {reaction_s:g}; measure it")
 
