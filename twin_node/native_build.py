@@ -12,6 +12,7 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
 import warnings
@@ -226,10 +227,16 @@ def _own_folder() -> Path:
 
 def _run(command: list[str]) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, timeout=COMPILE_TIMEOUT_S, check=False)
+        running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, process_group=0)
+        with running:
+            try:
+                said, complaints = running.communicate(timeout=COMPILE_TIMEOUT_S)
+            except BaseException:
+                os.killpg(running.pid, signal.SIGKILL)  # the compiler proper too, which `running` has begun
+                raise
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CompileError(f"{command[0]} did not run: {error}") from error
-    if done.returncode != 0:
-        first_lines = " / ".join(done.stderr.decode(errors="replace").strip().splitlines()[:3])
-        raise CompileError(f"{command[0]} ended with status {done.returncode}: {first_lines}")
-    return done.stdout.decode(errors="replace")
+    if running.returncode != 0:
+        first_lines = " / ".join(complaints.decode(errors="replace").strip().splitlines()[:3])
+        raise CompileError(f"{command[0]} ended with status {running.returncode}: {first_lines}")
+    return said.decode(errors="replace")

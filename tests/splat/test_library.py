@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import select
 import shlex
 import stat
 import subprocess
@@ -121,6 +122,23 @@ def test_compiler_errors_are_told_and_leave_nothing(tiny: KernelSources):
     with pytest.raises(native_build.CompileError, match=r"ended with status 1: .*error"):
         tiny.cached_library("baseline")
     assert list((tiny.folder.parent / "cache" / "twin_node").iterdir()) == []
+
+
+def test_a_compiler_that_takes_too_long_ends_with_all_that_it_has_begun(
+    tiny: KernelSources, monkeypatch: pytest.MonkeyPatch
+):
+    """What g++ begins, the compiler proper, went on for as long as it liked, beside the next one to be tried."""
+    pipe, driver = tiny.folder.parent / "pipe", tiny.folder.parent / "driver"
+    driver.write_text(f'#!/bin/sh\n[ "$1" = --version ] && exit\nsleep 60 >{shlex.quote(str(pipe))} &\nwait\n')
+    driver.chmod(0o755)
+    os.mkfifo(pipe)
+    reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    monkeypatch.setattr(native_build, "COMPILE_TIMEOUT_S", 0.5)
+    with pytest.raises(native_build.CompileError, match=r"did not run: .*timed out"):
+        tiny.compile("baseline", tiny.folder.parent / "tiny.so", (str(driver),))
+    with os.fdopen(reading, "rb") as heard:
+        assert select.select([heard], [], [], 10)[0], "what the compiler has begun holds its end of the pipe"
+        assert heard.read() == b""
 
 
 def test_a_cache_that_cannot_be_written_is_replaced(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
