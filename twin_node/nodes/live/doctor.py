@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -39,52 +39,71 @@ class Findings:
     faults: tuple[str, ...]
 
 
-def examine(wire: Wire, seconds: float) -> Findings:
-    """Listens to every topic of the graph for `seconds`."""
-    executor = Executor()
-    bus = WireBus(wire, executor, "doctor", kind_of)
-    stamps: dict[str, list[int]] = defaultdict(list)
-    delays: dict[str, list[int]] = defaultdict(list)
-    newest: dict[str, convert.Diagnosis] = {}
+class _Ear:
+    """Hears every topic that is published, and keeps when its messages came and how old they were."""
 
-    def hear(topic: str, message: Encoded) -> None:
+    def __init__(self, wire: Wire, executor: Executor, published: Mapping[str, Endpoint]) -> None:
+        self.newest: dict[str, convert.Diagnosis] = {}
+        """Diagnosis by its name."""
+        self._published = published
+        self._stamps: dict[str, list[int]] = defaultdict(list)
+        self._delays: dict[str, list[int]] = defaultdict(list)
+        self._bus = WireBus(wire, executor, "doctor", kind_of)
+        for topic, endpoint in published.items():
+            if endpoint.msgtype in builtin_types():
+                self._bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
+                self._bus.subscribe_raw(topic, partial(self._hear, topic))
+
+    def _hear(self, topic: str, message: Encoded) -> None:
         stamp = time.time_ns()
         if message.msgtype in REGULAR_TYPES:
             taken = header_stamp(message.decode())
-            delays[topic].append(stamp - taken)
+            self._delays[topic].append(stamp - taken)
             stamp = taken
-        stamps[topic].append(stamp)
+        self._stamps[topic].append(stamp)
         if topic == DIAGNOSTICS:
-            newest.update(
-                {diagnosis.name: diagnosis for diagnosis in convert.diagnostics_from_message(message.decode())}
-            )
+            self.newest |= {found.name: found for found in convert.diagnostics_from_message(message.decode())}
 
+    def line(self, topic: str, width: int) -> str:
+        """How often a topic was heard, how old its messages were, and what they are."""
+        statistics, delays = statistics_of(self._stamps[topic]), self._delays[topic]
+        rate = f"{statistics.rate_hz:8.2f} Hz" if statistics.count >= FEWEST else ""
+        lag = f"  {np.median(delays) / 1e6:6.1f} ms old" if delays else ""
+        return f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {self._published[topic].msgtype}"
+
+    def faults(self, topic: str) -> list[str]:
+        """What is wrong with when a topic's messages come and were made."""
+        if self._published[topic].msgtype not in REGULAR_TYPES:
+            return []
+        irregular = [f"{topic}: {fault}" for fault in faults_of(statistics_of(self._stamps[topic]))]
+        return irregular + _clock_faults(topic, self._delays[topic])
+
+    def close(self) -> list[str]:
+        """Hears no more; topics whose messages could not be read."""
+        unreadable = [t for t in self._bus.traffic if t.unreadable]
+        self._bus.close()
+        return [f"{t.topic}: {t.unreadable} messages cannot be read, the last: {t.last_error}" for t in unreadable]
+
+
+def examine(wire: Wire, seconds: float) -> Findings:
+    """Listens to every topic of the graph for `seconds`."""
+    executor = Executor()
     _spin(executor, wire, DISCOVERY_S)
     endpoints = [endpoint for endpoint in wire.endpoints() if endpoint.node.name != "doctor"]
     published = {e.topic: e for e in endpoints if e.kind is EntityKind.PUBLISHER}
     nodes = {topic: " and ".join(_publishers([e for e in endpoints if e.topic == topic])) for topic in published}
-    for topic, endpoint in published.items():
-        if endpoint.msgtype in builtin_types():
-            bus.declare(topic, TopicKind(endpoint.msgtype, endpoint.qos))
-            bus.subscribe_raw(topic, partial(hear, topic))
+    ear = _Ear(wire, executor, published)
     _spin(executor, wire, seconds)
     lines, faults = [], graph_faults(endpoints)
     if not endpoints:
         faults.append("nobody is there: start a graph ('twin_node launch'), or check the router and ROS_DOMAIN_ID")
     width = max((len(topic) for topic in published), default=0)
-    for topic, endpoint in sorted(published.items()):
-        statistics = statistics_of(stamps[topic])
-        rate = f"{statistics.rate_hz:8.2f} Hz" if statistics.count >= FEWEST else ""
-        lag = f"  {np.median(delays[topic]) / 1e6:6.1f} ms old" if delays[topic] else ""
-        lines.append(f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {endpoint.msgtype} of {nodes[topic]}")
-        if endpoint.msgtype in REGULAR_TYPES:
-            faults += [f"{topic}: {fault}" for fault in faults_of(statistics)]
-            faults += _clock_faults(topic, delays[topic])
-    unreadable = [t for t in bus.traffic if t.unreadable]
-    faults += [f"{t.topic}: {t.unreadable} messages cannot be read, the last: {t.last_error}" for t in unreadable]
-    bad = [d for d in newest.values() if d.level is not convert.Level.OK]
+    for topic in sorted(published):
+        lines.append(f"{ear.line(topic, width)} of {nodes[topic]}")
+        faults += ear.faults(topic)
+    faults += ear.close()
+    bad = [d for d in ear.newest.values() if d.level is not convert.Level.OK]
     faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
-    bus.close()
     return Findings(tuple(lines), tuple(faults))
 
 
