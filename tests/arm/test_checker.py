@@ -11,6 +11,7 @@ import pytest
 from obstacle_sets import MS, NOW, Thing, obstacles, random_obstacles
 
 from twin_node.arm import AllowedRegion, ArmCollisionChecker, ArmError, Attachment, parallel_gripper
+from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.scene import CollisionScene
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import ObstacleKind, ObstacleShape
@@ -177,6 +178,16 @@ def test_a_region_lets_its_own_links_touch_and_no_others() -> None:
     checker.update(obstacles(Thing(tuple(middle), size=(0.1,) * 3, kind=ObstacleKind.STATIC)))
     assert checker.distance(READY).link == "forearm_link"
     assert checker.distance(READY).distance <= 0
+
+
+def test_a_box_that_is_turned_twice_reaches_where_its_long_side_points() -> None:
+    """Allowed where it does not stand, an arm might touch what reaches out of the region."""
+    along_y = Thing((0.0, 0.0, 0.0), (1.0, 0.1, 0.1), shape=ObstacleShape.BOX, quat=(0.5, 0.5, 0.5, 0.5))
+    found, long, short = ObstacleSet.of(obstacles(along_y)), 0.51, 0.06
+    assert found.inside(np.array([-short, -long, -short]), np.array([short, long, short])).all()
+    assert not found.inside(np.array([-long, -short, -short]), np.array([long, short, short])).any()
+    for place, reaches in (((0.0, 0.45, 0.0), True), ((0.45, 0.0, 0.0), False), ((0.0, 0.0, 0.45), False)):
+        assert found.reaching_into(np.array(place) - 0.01, np.array(place) + 0.01).all() == reaches
 
 
 def test_where_contact_is_allowed_nothing_stands_unseen() -> None:

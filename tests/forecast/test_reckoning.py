@@ -71,8 +71,8 @@ def test_compiled_as_reference(count: int, knots: tuple[int, ...], turns: bool) 
         assert np.any(compiled.records.turned == paths.times[-1]) == turns
 
 
-def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Records]:
-    """A node that was forecast to go 0.2 m along x, and went so many times as far.
+def straight(factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) - 1) -> tuple[Reckoned, Records]:
+    """A node that was forecast to go 0.2 m along x, and went so many times as far, as it shows at a knot.
 
     All experts but that of constant velocity had it stand.
     """
@@ -97,7 +97,7 @@ def straight(factor: float, turns: bool, turning: bool) -> tuple[Reckoned, Recor
         np.zeros((len(EXPERT_NAMES), 1)), np.full(1, 0.1), *np.zeros((2, 1)), np.full(1, -np.inf), np.ones(1, int)
     )
     ledger = Ledger(kept, np.full(len(KNOTS), 0.12), Autoregression())
-    (found,) = reckon([Due(waiting, len(KNOTS) - 1, 0.033)], paths, ledger, Manner(2.0, turns))
+    (found,) = reckon([Due(waiting, knot, 0.033)], paths, ledger, Manner(2.0, turns))
     return found, kept
 
 
@@ -134,3 +134,14 @@ def test_what_no_expert_foresaw_tells_nothing_of_whom_to_believe() -> None:
     assert np.all(unforeseen.squared == 0)
     assert np.all(foreseen.squared > 0)
     assert np.argmin(foreseen.squared) == EXPERT_NAMES.index("constant_velocity")
+
+
+@pytest.mark.parametrize("knot", range(len(KNOTS)))
+def test_errors_at_any_knot_count_as_if_at_the_horizon(knot: int) -> None:
+    _, known = straight(1.0, turns=True, turning=False, knot=knot)
+    assert np.isclose(known.squared[0, 0], 0.2**2 * (1 - np.exp(-0.033 / 0.65)))
+    assert known.squared[EXPERT_NAMES.index("constant_velocity"), 0] < 1e-20
+    _, unforeseen = straight(2.0, turns=True, turning=False, knot=knot)
+    assert np.all(unforeseen.squared == 0)
+    _, foreseen = straight(1.5, turns=True, turning=False, knot=knot)
+    assert np.all(foreseen.squared > 0)
