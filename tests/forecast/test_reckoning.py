@@ -71,10 +71,13 @@ def test_compiled_as_reference(count: int, knots: tuple[int, ...], turns: bool) 
         assert np.any(compiled.records.turned == paths.times[-1]) == turns
 
 
-def straight(factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) - 1) -> tuple[Reckoned, Records]:
+def straight(
+    factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) - 1, began: float = 0.0
+) -> tuple[Reckoned, Records]:
     """A node that was forecast to go 0.2 m along x, and went so many times as far, as it shows at a knot.
 
-    All experts but that of constant velocity had it stand.
+    What it does it `began` at a time (s); it was forecast at 0.5 s, by all experts but that of constant velocity to
+    stand.
     """
     places = np.zeros((len(EXPERT_NAMES), len(KNOTS), 1, 3))
     mixed = np.array(KNOTS)[:, None, None] * np.array([0.2, 0.0, 0.0])
@@ -94,7 +97,11 @@ def straight(factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) -
     times = np.array([0.5, 0.7])
     paths = History(times, factor * np.array([[[0.0, 0.0, 0.0]], [[0.2, 0.0, 0.0]]]))
     kept = Records(
-        np.zeros((len(EXPERT_NAMES), 1)), np.full(1, 0.1), *np.zeros((2, 1)), np.full(1, -np.inf), np.ones(1, int)
+        np.zeros((len(EXPERT_NAMES), 1)),
+        np.full(1, 0.1),
+        *np.array([[0.0], [began]]),
+        np.full(1, -np.inf),
+        np.ones(1, int),
     )
     ledger = Ledger(kept, np.full(len(KNOTS), 0.12), Autoregression())
     (found,) = reckon([Due(waiting, knot, 0.033)], paths, ledger, Manner(2.0, turns))
@@ -145,3 +152,13 @@ def test_errors_at_any_knot_count_as_if_at_the_horizon(knot: int) -> None:
     assert np.all(unforeseen.squared == 0)
     _, foreseen = straight(1.5, turns=True, turning=False, knot=knot)
     assert np.all(foreseen.squared > 0)
+
+
+@pytest.mark.parametrize(("began", "grown", "judged"), [(0.39, True, 2), (0.41, False, 2), (0.51, False, 1)])
+def test_errors_within_half_a_horizon_after_something_new_began_tell_nothing(
+    began: float, grown: bool, judged: int
+) -> None:
+    """Of how far others may err; those of forecasts from before it tell nothing of the node itself either."""
+    found, kept = straight(1.0, turns=True, turning=False, began=began)
+    assert found.grown.tolist() == [grown]
+    assert kept.judged[0] == judged

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -44,12 +45,21 @@ def test_ros_vectors(case: dict[str, Any]) -> None:
     assert stamps_of(sets) == [[round(t * MS) for t in expected] for expected in case["expected_sets"]]
 
 
-def test_members_carry_their_payload_and_the_set_the_newest_stamp() -> None:
-    sync = ApproximateTimeSynchronizer[str](["a", "b"], ROS)
-    assert sync.add("a", 0, "left", now=0) == []
-    (ready,) = sync.add("b", 0, "right", now=1)
-    assert [m.payload for m in ready.members if m] == ["left", "right"]
-    assert ready.stamp == 0
+@pytest.mark.parametrize("stamps", [(0, 0), (0, 5 * MS), (5 * MS, 0)])
+def test_members_carry_their_payload_and_the_set_the_newest_stamp(stamps: tuple[int, int]) -> None:
+    sync = ApproximateTimeSynchronizer[str](["a", "b"])
+    sets = [ready for name, t in zip("ab", stamps, strict=True) for ready in sync.add(name, t, f"of {name}", now=t)]
+    (ready,) = sets or sync.poll(200 * MS)
+    assert [m.payload for m in ready.members if m] == ["of a", "of b"]
+    assert ready.stamp == max(stamps)
+
+
+@pytest.mark.parametrize(("age_penalty", "first"), [(0.1, [0, 20 * MS]), (0.0, [39 * MS, 20 * MS])])
+def test_a_later_set_that_is_hardly_narrower_is_not_waited_for(age_penalty: float, first: list[int]) -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], replace(ROS, age_penalty=age_penalty))
+    arrivals = [("a", 0), ("b", 20 * MS), ("a", 39 * MS), ("b", 60 * MS), ("a", 80 * MS), ("b", 100 * MS)]
+    sets = [found for name, t in arrivals for found in sync.add(name, t, None, now=t)]
+    assert stamps_of(sets)[0] == first
 
 
 def test_a_rate_bound_learned_from_the_stamps_saves_the_wait_for_the_next_image() -> None:
