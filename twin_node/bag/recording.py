@@ -80,10 +80,9 @@ class RecordingWriter:
     Raises `BagError` for a path that exists, and where the disk refuses; what was written by then can be read.
     """
 
-    def __init__(self, path: Path | str, split: SplitParameters | None = None, *, compression: str = "none") -> None:
+    def __init__(self, path: Path | str, split: SplitParameters | None = None) -> None:
         self.path = Path(path)
         self._split = split or SplitParameters()
-        self._compression = CompressionType[compression.upper()]
         self._channels: dict[str, _Channel] = {}
         self._kept: dict[str, list[bytes]] = {}
         """What the next file begins with."""
@@ -212,7 +211,7 @@ class RecordingWriter:
         if path.suffix != ".mcap":
             path = path / f"{path.name}_{len(self._files)}.mcap"
         stream = path.open("xb")
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         writer.start(PROFILE, RECORDER)
         stream.flush()  # before the metadata names it: an empty file is no log
         self._files.append(_File(path, stream, writer))

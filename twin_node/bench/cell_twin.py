@@ -110,15 +110,19 @@ class _WorkClock:
         return self._base_ns if self._begun is None else self._base_ns + time.process_time_ns() - self._begun
 
 
-def taught_region(case: CellCase, margin_m: float = 0.05) -> AllowedRegion:
-    """The box about all that the arm sweeps in its cycle, grown by a margin (m).
+_TAUGHT_MARGIN_M = 0.05
+"""A program is taught to keep so far from furniture, m."""
+
+
+def taught_region(case: CellCase) -> AllowedRegion:
+    """The box about all that the arm sweeps in its cycle, grown by `_TAUGHT_MARGIN_M`.
 
     Its program was taught clear of furniture: what the twin takes to stand there is the arm's own outline, or something
     that the program passes by.
     """
     template = case.arm.cycle.template
     placed = place_capsules(case.arm.model, forward_kinematics(case.arm.model, template.positions))
-    reach = placed.radii[:, None, None] + margin_m
+    reach = placed.radii[:, None, None] + _TAUGHT_MARGIN_M
     lower, upper = (placed.ends - reach).min(axis=(0, 1, 2)), (placed.ends + reach).max(axis=(0, 1, 2))
     return AllowedRegion(lower, upper, case.arm.model.link_names)
 

@@ -102,14 +102,14 @@ class Machine:
 class Link:
     """Carries packets between two machines, in a thread of its own."""
 
-    def __init__(self, near: Machine, far: Machine, delay_s: float, loss: float, seed: int = 0) -> None:
+    def __init__(self, near: Machine, far: Machine, delay_s: float, loss: float) -> None:
         """`delay_s`: each way; `loss`: share of packets that never arrive."""
         self.is_cut = False
         """Whether every packet is lost, those under way too."""
         self._other = {near.device: far.device, far.device: near.device}
         self._delay_s = delay_s
         self._loss = loss
-        self._random = random.Random(seed)
+        self._random = random.Random(0)
         self._under_way: list[tuple[float, int, int, bytes]] = []
         self._order = itertools.count()
         self._stopped = threading.Event()

@@ -160,24 +160,27 @@ def _score_pair(state: TwinState, then: View, now: View, forecast: Mean, present
         mean.add(psnr(float(error[changed].mean())))
 
 
+_SETS_BACK = 16
+"""So many sets back it is looked, half of the default window."""
+_LOOKED_AT_EVERY = 8
+"""One set in so many is looked back at."""
+
+
 class LookingBack:
     """What the model still knows of sets some time ago, against what it showed of them when they were new."""
 
-    def __init__(self, sets_back: int = 16, every: int = 8) -> None:
-        """Looks `sets_back` sets back, half of the default window, at one set in `every`."""
+    def __init__(self) -> None:
         self.mean = Mean()
-        self._back = sets_back
-        self._every = every
         self._seen: deque[tuple[FrameSet, dict[str, float]]] = deque()
         self._count = 0
 
     def add(self, tick: Tick, model: WindowModel) -> None:
         """Takes in a set that `model` has just been brought up to date with."""
         self._count += 1
-        if self._count % self._every:
+        if self._count % _LOOKED_AT_EVERY:
             return
         self._seen.append((tick.frames, {view.camera.name: _shown_db(model, view) for view in tick.frames.views}))
-        if len(self._seen) <= self._back // self._every:
+        if len(self._seen) <= _SETS_BACK // _LOOKED_AT_EVERY:
             return
         frames, live = self._seen.popleft()
         for view in frames.views:

@@ -190,14 +190,20 @@ def _optical_hit(camera: Camera, plane: Plane) -> Float64:
     return hit
 
 
-def _ransac(points: Float64, centres: Float64, trials: int = 200, keep: int = 8) -> list[Plane]:
+_TRIALS = 200
+"""Triples of points that planes are laid through."""
+_KEPT = 8
+"""Planes that are compared in the images."""
+
+
+def _ransac(points: Float64, centres: Float64) -> list[Plane]:
     """The best-supported planes through triples of points, normals towards the cameras."""
     if len(points) < 8:
         return []
     rng = np.random.default_rng(0)
     tolerance = _tolerance(points, centres)
     supported: list[tuple[int, Plane]] = []
-    for _ in range(trials):
+    for _ in range(_TRIALS):
         a, b, c = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
@@ -208,7 +214,7 @@ def _ransac(points: Float64, centres: Float64, trials: int = 200, keep: int = 8)
         plane = Plane(normal, float(-normal @ a))
         supported.append((int((np.abs(plane.height(points)) < tolerance).sum()), plane))
     supported.sort(key=lambda pair: -pair[0])
-    return [plane for _, plane in supported[:keep]]
+    return [plane for _, plane in supported[:_KEPT]]
 
 
 def _tolerance(points: Float64, centres: Float64) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -57,14 +57,12 @@ def by_target(psnr_db: float, path: Path | None = None) -> Choice:
     return Choice(chosen.name, f"size {chosen.name}: the fastest that reached {psnr_db:g} dB ({reached})")
 
 
-def by_budget(
-    session: LogSession, chain: ChainParameters, budget_ms: float, sizes: Sequence[str] = tuple(SIZES)
-) -> Choice:
+def by_budget(session: LogSession, chain: ChainParameters, budget_ms: float) -> Choice:
     """The best size whose model and forecast of a set take no more than `budget_ms` on the log's first sets, here.
 
-    `sizes` rise; they are tried from the smallest up, a second or two each. Where none keeps the budget, it is taken.
+    Sizes are tried from the smallest up, a second or two each. Where none keeps the budget, that one is taken.
     """
-    return best_within(budget_ms, sizes, lambda name: timed_ms(session, at_size(chain, name)))
+    return best_within(budget_ms, tuple(SIZES), lambda name: timed_ms(session, at_size(chain, name)))
 
 
 def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], float] = time.perf_counter) -> float:

@@ -114,8 +114,8 @@ def _averaged(rgb: UInt8) -> UInt8:
     return smaller
 
 
-def _box(size: tuple[float, float, float], T: Float64, texture: Texture, owner: int = 0) -> Solid:
-    return Solid(Placed(Shape(Form.BOX, size), T), texture, owner)
+def _box(size: tuple[float, float, float], T: Float64, texture: Texture) -> Solid:
+    return Solid(Placed(Shape(Form.BOX, size), T), texture, owner=0)
 
 
 def _furniture() -> tuple[Solid, ...]:

@@ -93,15 +93,14 @@ def png(picture: UInt8) -> bytes:
     return cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
-def curves(title: str, unit: str, series: Sequence[Curve], floor: float | None = 0.0) -> bytes:
-    """PNG of quantities over the log's time."""
+def curves(title: str, unit: str, series: Sequence[Curve]) -> bytes:
+    """PNG of quantities, none of them negative, over the log's time."""
     figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     for curve in series:
         axes.plot(curve.seconds, curve.values, label=curve.label, color=curve.colour, linewidth=1.2)
     axes.set(title=title, xlabel="time, s", ylabel=unit)
-    if floor is not None:
-        axes.set_ylim(bottom=floor)
+    axes.set_ylim(bottom=0)
     return _png_of(figure, len(series) if len(series) > 1 else 0)
 
 
