@@ -130,6 +130,28 @@ def test_joints_that_have_become_old_stop_the_arm_though_they_had_ended_its_path
         pose_at(found, 1500)
 
 
+def test_joints_stamped_in_the_future_stop_the_arm() -> None:
+    found = predictor(planned(lasts_ms=100), joints(READY, 0 * TURNING, 1000))
+    with pytest.raises(ArmError, match="joints are 500 ms in the future"):
+        pose_at(found, 500)
+
+
+@pytest.mark.parametrize(("when_ms", "state"), [(-1, "has not begun"), (1001, "is over")])
+def test_a_path_tells_nothing_before_it_begins_and_after_it_ends(when_ms: int, state: str) -> None:
+    """An arm goes on from its end only as far ahead as obstacles are forecast."""
+    with pytest.raises(ArmError, match=f"trajectory {state}, and no joints come"):
+        pose_at(predictor(planned(lasts_ms=1000)), when_ms)
+    stands = predictor(planned(lasts_ms=1000), joints(READY, 0 * TURNING, when_ms))
+    np.testing.assert_allclose(pose_at(stands, when_ms), READY)
+
+
+@pytest.mark.parametrize(("back_ms", "turned"), [(390, 1.0), (410, 0.2)])
+def test_joints_of_before_newer_ones_are_left_out_unless_the_clock_was_put_back(back_ms: int, turned: float) -> None:
+    found = predictor(planned(lasts_ms=100), joints(READY + TURNING, 0 * TURNING, 1000))
+    found.take_joints(joints(READY + 0.2 * TURNING, 0 * TURNING, 1000 - back_ms))
+    np.testing.assert_allclose(pose_at(found, 1000 - back_ms), READY + turned * TURNING)
+
+
 def test_a_cycle_is_made_up_when_it_is_looked_for_and_only_once() -> None:
     made: list[CyclicPath] = []
 

@@ -72,9 +72,9 @@ def test_compiled_as_reference(count: int, knots: tuple[int, ...], turns: bool) 
 
 
 def straight(
-    factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) - 1, began: float = 0.0
+    factor: float, turns: bool, turning: bool, knot: int = len(KNOTS) - 1, began: float = 0.0, aside: float = 0.0
 ) -> tuple[Reckoned, Records]:
-    """A node that was forecast to go 0.2 m along x, and went so many times as far, as it shows at a knot.
+    """A node that was forecast to go 0.2 m along x, and went so many times as far, and `aside` (m), by a knot.
 
     What it does it `began` at a time (s); it was forecast at 0.5 s, by all experts but that of constant velocity to
     stand.
@@ -95,7 +95,7 @@ def straight(
         0.5,
     )
     times = np.array([0.5, 0.7])
-    paths = History(times, factor * np.array([[[0.0, 0.0, 0.0]], [[0.2, 0.0, 0.0]]]))
+    paths = History(times, np.array([[[0.0, 0.0, 0.0]], [[0.2 * factor, aside, 0.0]]]))
     kept = Records(
         np.zeros((len(EXPERT_NAMES), 1)),
         np.full(1, 0.1),
@@ -122,6 +122,7 @@ def test_what_goes_much_further_began_something_new() -> None:
     found, kept = straight(2.0, turns=True, turning=False)
     assert found.wrong[0] > STARTLED * 0.12
     assert kept.began[0] == 0.7
+    assert kept.judged[0] == 1, "what was known of its errors no longer counts"
     assert kept.turned[0] == -np.inf
 
 
@@ -133,6 +134,13 @@ def test_what_turns_back_is_told_and_is_right_where_that_was_held() -> None:
     assert unasked.turned[0] == -np.inf
     assert np.isclose(free.wrong[0], 0.3)
     assert np.isclose(held.wrong[0], 0)
+
+
+def test_what_goes_back_beside_its_way_has_not_turned() -> None:
+    """Nobody could have held it along its way."""
+    _, noted = straight(-0.5, turns=True, turning=False, aside=0.5)
+    assert noted.turned[0] == -np.inf
+    assert noted.began[0] == 0.7
 
 
 def test_what_no_expert_foresaw_tells_nothing_of_whom_to_believe() -> None:
