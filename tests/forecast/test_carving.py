@@ -140,6 +140,20 @@ def test_unknown_depth_frees_nothing() -> None:
     assert carved.unknown.mask().all()
 
 
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_pixels_that_show_nothing_free_nothing(with_depth: bool) -> None:
+    """Those that undistortion leaves black: whatever depth stands there."""
+    state = state_of(0, None, cameras=RIG[:1], with_depth=with_depth)
+    (view,) = state.frames.views
+    valid = np.arange(WIDTH) >= np.full((HEIGHT, 1), WIDTH // 2)
+    views = (replace(view, valid=valid),)
+    unknown = carve(replace(state, frames=replace(state.frames, views=views))).unknown.mask()
+    pixel = pixels_of(view.camera, GRID.centers(np.arange(GRID.size)))
+    dark = (pixel >= 0) & (pixel % WIDTH < WIDTH // 2)
+    assert unknown[dark].all()
+    assert not unknown[(pixel >= 0) & ~dark].all()
+
+
 def test_shadow_of_the_robot_is_unknown_and_the_robot_left_out() -> None:
     arm = np.zeros((HEIGHT, WIDTH), np.bool_)
     arm[:, WIDTH // 2 - 6 : WIDTH // 2 + 6] = True

@@ -133,6 +133,7 @@ def test_a_compiler_that_takes_too_long_ends_with_all_that_it_has_begun(
     driver.chmod(0o755)
     os.mkfifo(pipe)
     reading = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    os.close(os.open(pipe, os.O_WRONLY))  # from now on it ends whenever nobody holds its other end
     monkeypatch.setattr(native_build, "COMPILE_TIMEOUT_S", 0.5)
     with pytest.raises(native_build.CompileError, match=r"did not run: .*timed out"):
         tiny.compile("baseline", tiny.folder.parent / "tiny.so", (str(driver),))
