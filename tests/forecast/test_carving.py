@@ -181,6 +181,23 @@ def test_calibration_error_and_skew_widen_the_hull() -> None:
     assert len(carve(late, speed=2.0).may_move.indices()) > 1.3 * len(carve(late, speed=0.0).may_move.indices())
 
 
+def test_masks_are_widened_by_so_many_sigmas_as_asked_for() -> None:
+    cameras = tuple(replace(cam, sigma_m=0.02) for cam in RIG)
+    state, counts = state_of(0, CENTER, cameras=cameras), []
+    for sigmas in (0.0, 1.0, 2.0):
+        carver = Carver(RigTables(GRID), CarvingParameters(sigmas=sigmas))
+        counts.append(len(carver.carve(state, 0.0).may_move.indices()))
+    assert counts[0] < counts[1] < counts[2] == len(carve(state).may_move.indices())
+
+
+@pytest.mark.parametrize("sigma_m", [np.nan, np.inf, -0.01, 5.0])
+def test_an_error_that_no_camera_has_is_refused(sigma_m: float) -> None:
+    """One that was no number kept the kernel for ever."""
+    cameras = (*RIG[:1], replace(RIG[1], sigma_m=sigma_m))
+    with pytest.raises(ForecastError, match=rf"camera cam1: expected a calibration error .*, found {sigma_m:g}"):
+        carve(state_of(0, CENTER, cameras=cameras))
+
+
 def test_a_camera_that_does_not_tell_its_error_is_taken_to_err_as_assumed() -> None:
     untold: tuple[Camera, ...] = tuple(replace(cam, sigma_m=0.0) for cam in RIG)
     exact, rough = (

@@ -10,10 +10,12 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved, Sight, carved
-from twin_node.scene import Bool, Float32, TwinState, View
+from twin_node.scene import Bool, Camera, Float32, TwinState, View
 
 _PIXEL_ERROR = 0.5
 """A mask is no sharper than its pixels."""
+_MOST_SIGMA_M = 1.0
+"""As in rig files: whoever errs by more shows nothing."""
 
 
 class Carver:
@@ -30,7 +32,8 @@ class Carver:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
         States come in rising order of stamps: what each depth camera saw behind moving things before is remembered.
-        Raises `ForecastError` for images or masks that are not of their camera's size.
+        Raises `ForecastError` for images or masks that are not of their camera's size, and for a camera whose
+        calibration error cannot be.
         """
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             if misfit := view.misfit(moving=moving, robot=robot):
@@ -58,9 +61,21 @@ class Carver:
         looks = []
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             table = self._tables.of(view.camera)
-            error = self.parameters.sigmas * (view.camera.sigma_m or self.parameters.assumed_sigma_m)
+            error = self._calibration_error(view.camera)
             error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             backdrop = None if view.depth is None else self._backdrops.of(view)
             looks.append(Look(table, view, moving, robot, backdrop, pixels))
         return sights_of(looks, self.parameters)
+
+    def _calibration_error(self, camera: Camera) -> float:
+        """By how far a camera's calibration lets masks and surfaces be off, m.
+
+        Raises `ForecastError` for what no camera errs by: a kernel that widens by what is no number comes to no end.
+        """
+        if not 0 <= camera.sigma_m <= _MOST_SIGMA_M:
+            raise ForecastError(
+                f"camera {camera.name}: expected a calibration error (sigma_m) of 0 to {_MOST_SIGMA_M:g} m, found "
+                f"{camera.sigma_m:g}; correct the rig"
+            )
+        return self.parameters.sigmas * (camera.sigma_m or self.parameters.assumed_sigma_m)
