@@ -93,3 +93,12 @@ def test_bytes_that_are_cut_off_are_refused(cut: int) -> None:
 def test_other_types_are_left_to_the_plain_way() -> None:
     for name in ("sensor_msgs/msg/JointState", "visualization_msgs/msg/MarkerArray", "twin_msgs/msg/OccupancyForecast"):
         assert builtin_types().row_codec(name) is None
+
+
+@pytest.mark.parametrize("more", [-8, -1, 1, 8, 200])
+def test_bytes_of_another_length_than_the_rows_take_are_no_rows(more: int) -> None:
+    """Larger structs of a newer sender, read as smaller ones, would put obstacles anywhere."""
+    packed = codec().pack(some(3, 1))
+    assert packed is not None
+    assert codec().unpack(packed) is not None
+    assert codec().unpack(memoryview((bytes(packed) + bytes(200))[: len(packed) + more])) is None
