@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -78,9 +79,11 @@ def test_what_goes_on_or_is_not_asked_about_or_has_just_come_does_not_swerve() -
     assert not braked(34, begins=30).swerves.held[0]
 
 
-def test_what_has_a_measured_velocity_stays_in_the_bound_of_people() -> None:
+@pytest.mark.parametrize("alone", [False, True])
+def test_what_has_a_measured_velocity_does_not_swerve(alone: bool) -> None:
+    """A limb stays in the bound of people; what moves by itself has a narrower one."""
     neither = np.zeros(1, np.bool_)
-    sure = Measured(np.full(1, 0.05), neither, neither, neither, np.full(1, -np.inf))
+    sure = Measured(np.full(1, 0.05), neither, np.full(1, alone), neither, np.full(1, -np.inf))
     assert not braked(34, measured=sure).swerves.held[0]
 
 

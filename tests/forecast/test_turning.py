@@ -21,10 +21,13 @@ def one_part(places: np.ndarray) -> Points:
     return Points(places.astype(np.int32), np.zeros(places.shape[1], np.int64), np.ones(places.shape[1], np.bool_))
 
 
-@given(st.tuples(*[st.floats(-0.4, 0.4)] * 3), st.floats(-1, 1))
-def test_whole_ways_hold_every_place_between_ahead_and_behind(ahead: tuple[float, float, float], share: float) -> None:
-    places = np.stack(np.meshgrid(*[np.arange(24, 28)] * 3, indexing="ij")).reshape(3, -1)
-    displacements, radii = np.array(ahead).reshape(1, 1, 3), np.full((1, 1), 0.04)
+@given(st.tuples(*[st.floats(-0.4, 0.4)] * 3), st.floats(-1, 1), st.sampled_from([(4, 0.04), (1, 0.08)]))
+def test_whole_ways_hold_every_place_between_ahead_and_behind(
+    ahead: tuple[float, float, float], share: float, size_and_radius: tuple[int, float]
+) -> None:
+    size, radius = size_and_radius
+    places = np.stack(np.meshgrid(*[np.arange(24, 24 + size)] * 3, indexing="ij")).reshape(3, -1)
+    displacements, radii = np.array(ahead).reshape(1, 1, 3), np.full((1, 1), radius)
     ways = whole_ways(one_part(places), displacements, radii, np.ones(1, np.bool_))
     shifts, reach = shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii)
     held = spread(GRID, ways.points, shifts, reach)[0].indices
