@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from twin_node.cell import CellSource, load_scenario
 from twin_node.rig import RigError
-from twin_node.rig.calibrate.clocks import CameraClock, ClockParameters, calibrate_clocks
+from twin_node.rig.calibrate.arm_features import ArmClock
+from twin_node.rig.calibrate.arm_motion import Film
+from twin_node.rig.calibrate.clocks import CameraClock, ClockParameters, _by_features, calibrate_clocks
 from twin_node.rig.calibrate.shifts import Costs, best_shift
 from twin_node.robot import arm_model
 from twin_node.scene import Camera, FrameSet, RigCamera
@@ -96,6 +98,21 @@ def test_a_correction_comes_on_top_of_what_is_corrected_already() -> None:
         assert abs(clock.applied(camera).rig_time(stamp) - twice) <= 10
     still = replace(clock, rate_ppm=4.0).applied(replace(camera, time_rate_ppm=0.0))
     assert still.time_rate_ppm == 0  # a rate within its error is none
+
+
+def test_a_clock_that_drifts_is_told_as_of_the_recordings_middle() -> None:
+    """Features tell it as of a time of theirs: 15 s earlier here, by when a drift of 100 ppm makes 1.5 ms."""
+    second = 1_000_000_000
+    film = Film(
+        Camera("left", 8, 6, np.eye(3), np.eye(4)), np.array([100, 120, 140]) * second, np.zeros((3, 6, 8), np.uint8)
+    )
+    told = ArmClock(0.010, 1e-4, np.diag([1e-8, 1e-12]), reference_s=5.0, tracks=9, noise_px=0.1)
+    clock = _by_features(film, 100 * second, told)
+    assert clock.reference_ns == 120 * second
+    assert clock.offset_ns == pytest.approx(11_500_000, abs=1)
+    assert clock.rate_ppm == pytest.approx(100)
+    assert clock.sigma_ns == pytest.approx(1e9 * np.sqrt(1e-8 + 15**2 * 1e-12), abs=1)
+    assert clock.rate_sigma_ppm == pytest.approx(1)
 
 
 def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) -> None:
