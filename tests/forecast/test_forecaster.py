@@ -9,6 +9,7 @@ import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
 
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError, cover
+from twin_node.forecast.bound import BoundParameters
 from twin_node.forecast.grid import decode_runs
 from twin_node.scene import HORIZONS_NS, GaussianCloud, Grid, Occupancy, Tier, TwinState
 
@@ -113,6 +114,17 @@ def test_what_stops_stays() -> None:
         occupancy = forecaster.update(still, still.stamp + LATENCY_NS).occupancy
     for layer in occupancy.layers:
         assert np.isin(ball_voxels(place(9 * PERIOD_NS), 0.9 * RADIUS), layer.indices).all()
+
+
+def test_what_nobody_saw_when_a_forecast_was_made_is_no_miss_of_its_bound() -> None:
+    """A door that opens would widen the bounds of all that moves."""
+    forecaster = Forecaster(GRID)
+    for tick in range(16):
+        stamp = tick * PERIOD_NS
+        state = state_of(stamp, None if tick < 10 else place(stamp), RADIUS)
+        forecaster.update(state, state.stamp + LATENCY_NS)
+    assert np.isnan(forecaster.quality.coverage)
+    assert forecaster.quality.factor == BoundParameters().first_factor
 
 
 def test_quality_tells_coverage_against_target() -> None:
