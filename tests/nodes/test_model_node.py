@@ -313,3 +313,18 @@ def test_in_lockstep_or_without_another_processor_there_is_no_other_process(
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: is_worth_it)
     ModelNode(LocalBus(), SteppedClock(), Watched(), is_live=is_live, own_process=True).configure()
     assert not begun
+
+
+def test_the_model_begins_with_the_first_set_that_shows_something() -> None:
+    bus, model = LocalBus(), Watched()
+    node = ModelNode(bus, SteppedClock(), model)
+    node.configure()
+    node.activate()
+    seen: list[int] = []
+    bus.subscribe(SEEN, lambda state: seen.append(state.stamp))
+    for index in range(4):
+        one = frames(index)
+        dark = replace(one.views[0], rgb=np.zeros_like(one.views[0].rgb))
+        bus.publish(TRUSTED_FRAMES, replace(one, views=(dark,)) if index in (0, 1, 3) else one)
+        assert [diagnosis.name for diagnosis in node.diagnoses()] == (["model: light"] if index < 2 else [])
+    assert seen == [2, 3], "a camera that has shown something may go dark"

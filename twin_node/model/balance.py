@@ -1,4 +1,4 @@
-"""How the cameras of a rig are exposed beside each other when the model begins: by the surfaces that they share."""
+"""How the cameras of a rig are exposed beside each other when they begin: by the surfaces that they share."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ or surfaces that are not where they are thought to be."""
 SLIGHT = 0.04
 """Gains this near to one (log) are not worth levelling: less than gloss makes of one surface."""
 
+SOLID = 0.9
+"""Opacity from which on a pixel of the model tells a colour."""
+
 
 def balance(views: Sequence[View], surfaces: Sequence[Surface]) -> tuple[Exposure, ...]:
     """Gains per view whose product is one, so that the same surface has the same colour in all; `surfaces` per view.
@@ -45,6 +48,25 @@ def balance(views: Sequence[View], surfaces: Sequence[Surface]) -> tuple[Exposur
     if np.all(np.abs(gains) < SLIGHT):
         return (PLAIN,) * len(views)
     return tuple(Exposure(np.exp(own).astype(np.float32), np.zeros(3, np.float32)) for own in gains)
+
+
+def balance_joining(view: View, rgb: Float32, alpha: Float32) -> Exposure:
+    """How a camera that joins later is exposed beside a model, which draws its view as `rgb` [H, W, 3], `alpha` [H, W].
+
+    `PLAIN` where the model draws too little of it, or draws it too differently.
+    """
+    sampled = slice(None, None, STRIDE_PX)
+    own, shown = view.rgb[sampled, sampled], (255 * rgb[sampled, sampled]).round().astype(np.uint8)
+    shared = (alpha[sampled, sampled] > SOLID) & is_clear(own) & is_clear(shown)
+    if view.valid is not None:
+        shared &= view.valid[sampled, sampled]
+    told: Float32 = np.log(own[shared] / shown[shared].astype(np.float32))
+    if len(told) < FEWEST:
+        return PLAIN
+    middle = np.median(told, axis=0)
+    if np.any(np.median(np.abs(told - middle), axis=0) > UNLIKE) or np.all(np.abs(middle) < SLIGHT):
+        return PLAIN
+    return Exposure(np.exp(middle).astype(np.float32), np.zeros(3, np.float32))
 
 
 def _ratios(view: View, surface: Surface, other: View, its: Surface) -> Float32:

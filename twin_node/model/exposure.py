@@ -7,12 +7,13 @@ model keeps its colours and nothing is born of a lamp.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
+from twin_node.model.first_light import is_blind
 from twin_node.model.remembered import DARKEST, FEWEST, QUANTUM, SATURATED, SLACK, Remembered, middle_ratios
 from twin_node.scene import PLAIN, Bool, Exposure, Float32, FrameSet, UInt8, View
 
@@ -63,19 +64,28 @@ class Exposures:
         """The first set, whose cameras are known to be exposed like `exposures`, one per view."""
         views = tuple(levelled(view, exposure) for view, exposure in zip(frames.views, exposures, strict=True))
         for view, exposure in zip(views, exposures, strict=True):
-            self._memories[view.camera.name] = _Memory(view, exposure)
+            if not is_blind(view):
+                self._memories[view.camera.name] = _Memory(view, exposure)
         return Levelled(replace(frames, views=views), tuple(exposures))
 
-    def level(self, frames: FrameSet, robots: Sequence[Bool | None]) -> Levelled:
+    def level(
+        self, frames: FrameSet, robots: Sequence[Bool | None], joining: Callable[[View], Exposure] = lambda _: PLAIN
+    ) -> Levelled:
         """`frames` in the light of the model; `robots` [H, W] per view is where the arm may be.
 
-        A view that no one rule explains is taken to be exposed as its camera was at first.
+        A view that no one rule explains is taken to be exposed as its camera was at first. What `joining` says is asked
+        of the first view of a camera that was not there when the model began.
         """
         views, exposures = [], []
         for view, robot in zip(frames.views, robots, strict=True):
             memory = self._memories.get(view.camera.name)
+            if memory is None and is_blind(view):
+                exposures.append(PLAIN)
+                views.append(view)
+                continue
             if memory is None or memory.shape != view.rgb.shape:
-                memory = self._memories[view.camera.name] = _Memory(view, PLAIN)
+                first = joining(view)
+                memory = self._memories[view.camera.name] = _Memory(levelled(view, first), first)
             still = _still(view, robot, self._moving.get(view.camera.name))
             exposures.append(memory.tell(view, still))
             views.append(memory.shown(view, exposures[-1], still))

@@ -11,10 +11,12 @@ import torch
 
 from twin_node.model.aligning import CATCH_UPS
 from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.balance import balance_joining
 from twin_node.model.decisions import Decision
 from twin_node.model.devices import usable_device
 from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.field import HexPlane
+from twin_node.model.first_light import FirstLight
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.haste import Haste, Part
@@ -31,7 +33,7 @@ from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, 
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_masks
-from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState, View
+from twin_node.scene import Bool, Camera, Exposure, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState, View
 from twin_node.splat.library import torch_alone
 
 SEED_SHARE = 0.6
@@ -93,6 +95,7 @@ class WindowModel:
         self._nodes = Nodes(self.parameters.nodes, self.parameters.window)
         self._gaussians = Gaussians(0, self._device)
         self._begun: _Begun | None = None
+        self._light = FirstLight()
         self._exposures = Exposures()
         self._haste = Haste({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._newest: _Shown | None = None
@@ -163,12 +166,13 @@ class WindowModel:
         not of their camera's size, or with depth that is not finite.
         """
         self._check(frames)
-        robots = robot_masks(self._arm, frames)
         begun, is_first = self._begun, self._begun is None
+        frames = self._light.begin(frames) if is_first else self._light.heed(frames)
+        robots = robot_masks(self._arm, frames)
         if begun is None:
             begun, levelled = self._begin(frames, robots)
         else:
-            levelled = self._exposures.level(frames, robots)
+            levelled = self._exposures.level(frames, robots, self._exposure_of)
         frames = levelled.frames
         self.on_stage("level")
         moving = self._mask.update(frames, robots)
@@ -183,7 +187,7 @@ class WindowModel:
             model.nodes,
             moving,
             robots,
-            levelled.warnings,
+            self._light.warnings + levelled.warnings,
             levelled.exposures,
             None if is_first else model.stamp,
         )
@@ -270,6 +274,11 @@ class WindowModel:
                 f"set {frames.sequence}: expected a stamp of {self._looked_at} ns or later, found {frames.stamp} ns; "
                 "sort the source or start a new model"
             )
+
+    def _exposure_of(self, view: View) -> Exposure:
+        """How a camera that joins is exposed beside the model."""
+        drawn = self.render(view.camera)
+        return balance_joining(view, drawn.rgb, drawn.alpha)
 
     def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> tuple[_Begun, Levelled]:
         """The model of the first set, and the set in the light that the model has."""

@@ -6,6 +6,7 @@ import gc
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
+from twin_node.model.first_light import FirstLight
 from twin_node.model.model_process import ModelProcess
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.sizing import Trial
@@ -54,6 +55,9 @@ class ModelNode(Node):
         self._process: ModelProcess | None = None
         self._trial = trial
         self._narrower: Narrower | None = None
+        self._light = FirstLight()
+        self._is_dark = True
+        """Whether no camera has shown anything so far: such sets are let be, for the first is the scene at rest."""
         self._seen: TwinState | None = None
         """What has been looked at and waits to be followed."""
         self.followed = 0
@@ -82,6 +86,13 @@ class ModelNode(Node):
             self._begin_process()
         self.bus.subscribe(TRUSTED_FRAMES, self._on_frames)
 
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """Whether it waits for the cameras to show something."""
+        if not self._light.warnings or not self._is_dark:
+            return ()
+        message = "waits: all cameras have shown nothing so far, black or burnt out; mend the light"
+        return (convert.Diagnosis(f"{self.name}: light", convert.Level.WARN, message),)
+
     def on_deactivate(self) -> None:
         """What is followed now still goes out."""
         self._collect(wait=True)
@@ -94,6 +105,9 @@ class ModelNode(Node):
             gc.unfreeze()  # nobody would ever look for what goes with this node
 
     def _on_frames(self, frames: FrameSet) -> None:
+        self._is_dark = self._is_dark and self._light.is_dark(frames)
+        if self._is_dark:
+            return
         if self._trial is not None:
             self._try(self._trial, frames)
             return

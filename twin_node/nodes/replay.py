@@ -11,6 +11,7 @@ from pathlib import Path
 from twin_node.bag import LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
+from twin_node.model.first_light import FirstLight
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
@@ -182,12 +183,19 @@ class _Engine:
         return self._finish(chain, collector, bridge.dropped, seconds, rate, reading.finished)
 
     def _first_set(self, order: Order, bus: LocalBus) -> FrameSet:
-        """The first set; what the log says of the arm by then goes out on the bus, lest a made-up one be judged."""
+        """The first set that shows something, else the first; what the log says of the arm by then goes out on the bus,
+        lest a made-up one be judged."""
         sets: list[FrameSet] = []
+        light, first = FirstLight(), None
         for _ in play(order, SteppedClock(), sets.append, bus.publish):
-            if sets:
-                return sets[0]
-        raise _no_sets(self._session)
+            for frames in sets:
+                first = first or frames
+                if not light.is_dark(frames):
+                    return frames
+            sets.clear()
+        if first is None:
+            raise _no_sets(self._session)
+        return first
 
     def _chain(
         self,

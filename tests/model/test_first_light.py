@@ -1,0 +1,94 @@
+"""Cameras whose first images are black or burnt out, and cameras that join later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from model_scenes import TICK_NS, frames, rig
+
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.first_light import PATIENCE_S, FirstLight, is_blind
+from twin_node.model.quality import psnr, squared_error
+from twin_node.scene import FrameSet, View
+
+QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
+CAMERAS = rig()
+STILL = frames(0, -0.15, CAMERAS)
+MEASURED = frames(0, -0.15, CAMERAS, depth=True)
+
+
+def at(index: int, one: FrameSet, *views: View) -> FrameSet:
+    """Set `index` of a scene at rest, with `views` in place of the first ones."""
+    stamp = STILL.stamp + index * TICK_NS
+    shown = (*views, *one.views[len(views) :])
+    return FrameSet(stamp, tuple(replace(view, stamp=stamp) for view in shown), sequence=index)
+
+
+def flat(view: View, level: int) -> View:
+    """The view with every pixel at `level`, but for some that are hot."""
+    rgb = np.full_like(view.rgb, level)
+    rgb[::16, ::16] = 200
+    return replace(view, rgb=rgb)
+
+
+@pytest.mark.parametrize("level", [0, 10, 255])
+def test_who_shows_nothing_is_left_out_until_it_shows_something(level: int) -> None:
+    light, view = FirstLight(), STILL.views[0]
+    seen = light.heed(at(0, STILL, flat(view, level)))
+    assert [is_blind(one) for one in seen.views] == [True, False, False]
+    assert light.warnings and "cam0" in light.warnings[0]
+    lit = at(1, STILL)
+    assert light.heed(lit) is not lit and not any(is_blind(one) for one in light.heed(lit).views)
+    assert not light.warnings
+    gone_dark = at(2, STILL, flat(view, level))
+    assert light.heed(gone_dark) is gone_dark, "it has shown what stands there"
+
+
+def test_who_measures_depth_is_not_waited_for_for_ever() -> None:
+    dark = [flat(view, 0) for view in MEASURED.views]
+    light, late = FirstLight(), round(PATIENCE_S * 1e9 / TICK_NS) + 1
+    assert light.is_dark(at(0, MEASURED, *dark))
+    assert light.is_dark(at(late - 2, MEASURED, *dark))
+    assert not light.is_dark(at(late, MEASURED, *dark))
+    blind = FirstLight()
+    assert blind.is_dark(at(0, STILL, *(replace(one, depth=None) for one in dark)))
+    assert blind.is_dark(at(late, STILL, *(replace(one, depth=None) for one in dark)))
+
+
+def test_a_first_set_that_is_all_dark_is_taken_as_it_is() -> None:
+    light, dark = FirstLight(), at(0, STILL, *(flat(view, 0) for view in STILL.views))
+    assert light.begin(dark) is dark
+    assert light.heed(at(1, dark)).views[0].valid is None
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_a_camera_that_begins_black_is_as_good_as_one_that_joins(depth: bool) -> None:
+    model, scene = WindowModel(QUICK), MEASURED if depth else STILL
+    first = model.update(at(0, scene, flat(scene.views[0], 0)))
+    assert any("cam0 has shown nothing" in warning for warning in first.warnings)
+    for index in range(1, 8):
+        state = model.update(at(index, scene))
+    assert not state.warnings
+    assert not any(mask.any() for mask in state.moving_masks), "nothing has moved"
+    errors = [squared_error(model.render(view.camera).rgb, view.rgb / 255).mean() for view in scene.views]
+    assert min(psnr(error) for error in errors) > 22
+
+
+def test_a_camera_that_joins_in_another_light_is_levelled() -> None:
+    model = WindowModel(QUICK)
+    model.update(replace(at(0, STILL), views=at(0, STILL).views[1:]))
+    dim = replace(STILL.views[0], rgb=(0.5 * STILL.views[0].rgb).round().astype(np.uint8))
+    state = model.update(at(1, STILL, dim))
+    assert state.exposures[0].gains == pytest.approx(0.5, rel=0.12)
+    assert np.abs(state.frames.views[0].rgb.astype(float) - STILL.views[0].rgb).mean() < 12
+    assert state.exposures[1].is_plain
+
+
+def test_a_camera_that_joins_and_sees_what_nobody_did_keeps_its_light() -> None:
+    model = WindowModel(QUICK)
+    model.update(replace(at(0, STILL), views=at(0, STILL).views[1:]))
+    noise = np.random.default_rng(0).integers(0, 255, STILL.views[0].rgb.shape, np.uint8)
+    state = model.update(at(1, STILL, replace(STILL.views[0], rgb=noise)))
+    assert state.exposures[0].is_plain

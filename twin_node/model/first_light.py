@@ -1,0 +1,88 @@
+"""Cameras that have shown nothing yet: black or burnt out, as many are until their exposure has settled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin_node.model.remembered import DARKEST, QUANTUM, SATURATED
+from twin_node.scene import FrameSet, View
+
+TELLING = 0.02
+"""Share of an image's pixels that must be neither black nor burnt out: a black image has some that are hot."""
+PATIENCE_S = 2.0
+"""How long a camera that measures depth is waited for, s: exposures settle within one, and the cell may be dark."""
+
+
+class FirstLight:
+    """Tells which cameras have shown something.
+
+    The first image of a camera is taken for the scene at rest: beside a black one all that comes later would be in
+    motion for good.
+    """
+
+    def __init__(self) -> None:
+        self._lit: set[str] = set()
+        self._since: dict[str, int] = {}
+        """Stamps of the first images of cameras that have shown nothing yet, ns."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know: one line per camera that has come and shown nothing yet."""
+        return tuple(
+            f"camera {name} has shown nothing so far, black or burnt out: it is left out; uncover it, or mend the light"
+            for name in self._since
+        )
+
+    def heed(self, frames: FrameSet) -> FrameSet:
+        """`frames`, in which no pixel is valid of cameras that have shown nothing yet.
+
+        One that measures depth is left out for `PATIENCE_S` at most: depth tells in the dark, too.
+        """
+        if all(view.camera.name in self._lit for view in frames.views):
+            return frames
+        return replace(frames, views=tuple(view if self._is_lit(view) else _blind(view) for view in frames.views))
+
+    def is_dark(self, frames: FrameSet) -> bool:
+        """Whether no camera of a set has shown anything so far, see `heed`."""
+        return all(is_blind(view) for view in self.heed(frames).views)
+
+    def begin(self, frames: FrameSet) -> FrameSet:
+        """The first set that a model is made of: as `heed` has it, or whole where that would leave nothing of it."""
+        if not self.is_dark(frames):
+            return self.heed(frames)
+        for view in frames.views:
+            self._light(view.camera.name)
+        return frames
+
+    def _is_lit(self, view: View) -> bool:
+        name = view.camera.name
+        if name in self._lit:
+            return True
+        since = self._since.setdefault(name, view.stamp)
+        waited = view.depth is not None and view.stamp - since >= PATIENCE_S * 1e9
+        if not waited and not shows_something(view):
+            return False
+        self._light(name)
+        return True
+
+    def _light(self, name: str) -> None:
+        self._lit.add(name)
+        self._since.pop(name, None)
+
+
+def shows_something(view: View) -> bool:
+    """Whether enough of a view's valid pixels are neither black nor burnt out."""
+    rgb = view.rgb if view.valid is None else view.rgb[view.valid]
+    tells = (rgb.max(-1) > DARKEST / QUANTUM) & (rgb.min(-1) < SATURATED)
+    return bool(tells.size) and float(tells.mean()) >= TELLING
+
+
+def is_blind(view: View) -> bool:
+    """Whether no pixel of a view is valid."""
+    return view.valid is not None and not view.valid.any()
+
+
+def _blind(view: View) -> View:
+    return replace(view, valid=np.zeros(view.rgb.shape[:2], bool))
