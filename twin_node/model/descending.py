@@ -14,9 +14,10 @@ from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, QUICK, RGB, 
 from twin_node.model.photometric import DEPTH_WEIGHT, Goal, differentiate
 from twin_node.model.rendering import Rendering, Sheet, Splats, join
 
-WORSE, WORSE_FLOOR = 1.5, 1e-3
-"""Times its value before the first step, plus so much, that the loss may have before the last one: steps that are taken
-well halve it."""
+WORSE, WORSE_FLOOR = 1.1, 1e-3
+"""Times its value before the first step, plus so much, that the loss may have before the last one. Steps that are taken
+well lower it by a sixth, at worst by a twentieth; what steps too long throw out of sight costs a tenth to a third more,
+no more than if it had never been there."""
 RATES = torch.zeros(WIDTH)
 RATES[MEAN] = 0.08
 RATES[QUAT] = 5e-3
