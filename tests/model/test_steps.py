@@ -15,7 +15,7 @@ from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import Births
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed, judge_static_reference, refuted_moving_reference
+from twin_node.model.deaths import Shapes, are_needed, clashing, judge_static_reference, refuted_moving_reference
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
@@ -126,6 +126,21 @@ def test_what_is_behind_a_thing_that_left_leaves_with_it_where_depth_shows_the_g
     of_block = static.means[0, :, 2].numpy() > 0.06
     for judge in (judge_static, judge_static_reference):
         assert judge(observed, shown, THRESHOLD).left[of_block].mean() > 0.95
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_what_depth_and_colour_both_refute_needs_no_second_look(depth: bool) -> None:
+    static = joined(table(), block(-0.2))
+    observed = observe(static, 0.25, depth)
+    left = judge_static(observed, look_at(joined(table(), block(0.25))), THRESHOLD).left
+    of_block = static.means[0, :, 2].numpy() > 0.06
+    for one in observed:
+        seen = one.background.static
+        as_seen = torch.from_numpy(one.rgb[seen.rows, seen.columns])
+        assert not clashing([one], left, as_seen).any(), "what looks like what is behind it waits"
+    found = clashing(observed, left, torch.zeros_like(static.rgb))
+    assert not (found & ~left).any()
+    assert (found[of_block & left].mean() > 0.5) if depth else not found.any()
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
@@ -18,6 +20,9 @@ SEEN_THROUGH = 0.05
 
 REACH = 2.2
 """Sigmas from its centre at which a tenth of a Gaussian is left."""
+
+CLASH = 0.2
+"""Difference of a channel (0 to 1) between a Gaussian and the image behind it that no blur of their edge explains."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,23 @@ def judge_static_reference(
     off = ~on_surface([one.background for one in observed])
     left = proven | (off & (gone == shown) & (gone >= 1))
     return StaticEvidence(left, off & (moving == shown) & (moving >= min(2, len(observed))))
+
+
+def clashing(observed: Sequence[Observed], left: Bool, rgb: Tensor) -> Bool:
+    """[n] which of the STATIC Gaussians that have `left` [n], of colours `rgb` [n, 3], need no second look.
+
+    Some view measures depth behind them and shows another colour there: both at once are no noise, and what waits for
+    another look is a speck on what was uncovered.
+    """
+    clash, suspects = np.zeros_like(left), left.nonzero()[0]
+    if not len(suspects):
+        return clash
+    colours = rgb[torch.from_numpy(suspects).to(rgb.device)].cpu().numpy()
+    for one in observed:
+        seen = one.background.static.of(suspects)
+        differs = np.abs(one.rgb[seen.rows, seen.columns] - colours).max(-1) > CLASH
+        clash[suspects] |= _seen_through(one, seen) & differs
+    return clash
 
 
 def _seen_through(one: Observed, seen: Seen) -> Bool:

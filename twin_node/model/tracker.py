@@ -19,7 +19,7 @@ from twin_node.model.bodies import Bodies
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed
+from twin_node.model.deaths import Shapes, are_needed, clashing
 from twin_node.model.decisions import Decision
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
@@ -248,9 +248,10 @@ class Tracker:
         g, evidence = self._gaussians, judge_static(observed, renderings, self._parameters.track.residual)
         standing = rows_where(self._backgrounds.stand(g, self._backgrounds.rows))
         rows = self._backgrounds.rows.index_select(0, standing)
-        told = (torch.from_numpy(of).to(rows.device) for of in (evidence.left, evidence.moving))
-        left, moving = (of.index_select(0, standing) for of in told)
-        gone = g.doubt(rows, left, self._parameters.birth.carve_sets)
+        clashes = clashing(observed, evidence.left, g.values[:, RGB].index_select(0, self._backgrounds.rows))
+        told = (torch.from_numpy(of).to(rows.device) for of in (evidence.left, evidence.moving, clashes))
+        left, moving, clash = (of.index_select(0, standing) for of in told)
+        gone = g.doubt(rows, left, self._parameters.birth.carve_sets) | clash
         resting = g.rested.index_select(0, rows) >= 0  # the masks keep what has moved; it wakes when it looks otherwise
         boarding = moving & ~left & ~resting
         if bool((gone | boarding).any()):
