@@ -119,3 +119,28 @@ def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> No
     aside = falling(centers[2:], np.array([5.0, 0.0, 0.0]), np.full(1, 0.05))
     assert np.isinf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
     assert np.isinf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
+
+
+@pytest.mark.parametrize("period", [1 / 30, 1 / 15])
+def test_what_is_carried_round_a_bend_is_no_flight(period: float) -> None:
+    """At 2 m/s, as fast as what is thrown; taken for a fall it was looked for half a metre away from where it went."""
+    angles = 2.0 / 0.3 * period * np.arange(24)
+    places = np.stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), np.ones(24)], axis=1)
+    places += np.random.default_rng(0).normal(0, 0.004, places.shape)
+    course, flights, fast = Course.begun(0.0, places[0], 0.015), 0, 0
+    for number, place in enumerate(places[1:], start=1):
+        course = course.followed(number * period, place, 0.015)
+        flights, fast = flights + course.is_flight, fast + course.flies
+    assert fast > 15
+    assert flights * period < 0.2  # the first places may be those of a fall
+
+
+def test_what_has_strayed_once_is_asked_to_show_that_it_falls() -> None:
+    swung = path(3, np.array([2.5, 0.0, 0.0]), np.zeros(3))
+    thrown = swung[-1] + path(8, np.array([0.0, 2.5, 1.0]), GRAVITY)[1:] - np.array([0.0, 0.0, 1.0])
+    courses = [course_of(np.concatenate([swung, thrown[:count]])) for count in range(1, 8)]
+    assert courses[-1].strayed
+    assert [len(course.way.times) for course in courses[:4]] == [1, 2, 3, 4]
+    assert not courses[2].is_flight
+    assert courses[-1].is_flight
+    assert course_of(thrown[:3]).is_flight

@@ -7,7 +7,7 @@ import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
 from numpy.typing import NDArray
 
-from twin_node.forecast.judgement import Judgement
+from twin_node.forecast.judgement import Held, Judgement, Watch
 from twin_node.forecast.margin import Margin
 from twin_node.forecast.moving_surface import Moving, moving_surface, moving_surface_reference
 from twin_node.forecast.parts import Parts
@@ -63,3 +63,19 @@ def test_measured_points_are_found_compiled_as_reference(views: int) -> None:
     if views:
         assert {-1, 0, 1} == set(found.parts.tolist())
         assert 0 < np.count_nonzero(found.foreseen) < len(found.foreseen)
+
+
+def test_cameras_that_contradict_each_other_from_the_start_are_told_of_within_five_judgements() -> None:
+    watch, told = Watch(), []
+    for _ in range(5):
+        watch = watch.after(Held(seen=100, covered=100, measured=300, agreed=105))
+        told.append(any("look for mirrors" in line for line in watch.warnings))
+    assert told == [False, False, False, False, True]
+
+
+def test_once_all_agrees_one_that_comes_into_view_piece_by_piece_is_no_contradiction() -> None:
+    watch = Watch()
+    for agreed in (290, 300, 295, 110, 120):
+        watch = watch.after(Held(seen=100, covered=100, measured=300, agreed=agreed))
+    assert watch.warnings == ()
+    assert watch.after(Held(seen=0, covered=0)).agreement == watch.agreement

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,8 @@ standard deviations."""
 _PLACES, _SURE = 3, 0.4
 """Fewest places that show a flight, and how well they must tell its velocity, m/s: what does not lie on one course
 begins a new one, but the middle of what changes its shape may lie anywhere."""
+_LIKELY = 2.0
+"""Times what is expected of it that the misfit (chi^2) of a flight may be: what misses more goes its own way."""
 _WEIGHTLESS = np.zeros(3)
 
 
@@ -101,6 +103,11 @@ class _Way:
 
         return {True: line(GRAVITY), False: line(_WEIGHTLESS)}
 
+    @property
+    def may_fall(self) -> bool:
+        """Whether it is a fall's, as far as its places, two or more, are known."""
+        return self.lines[True].misfit <= _LIKELY * 3 * (len(self.times) - 2)
+
 
 @dataclass(frozen=True)
 class Course:
@@ -114,6 +121,8 @@ class Course:
     """Standard deviation of each component, m/s."""
     falls: bool | None = None
     """Whether its way shows that it falls freely, or did before it hit something; None: that cannot be told."""
+    strayed: bool = False
+    """Whether it began where another course did not lead, of what was not known to fall: a thing that was swung."""
 
     @classmethod
     def begun(cls, time: float, middle: Float64, sigma: float) -> Course:
@@ -129,10 +138,13 @@ class Course:
     def is_flight(self) -> bool:
         """Whether it flies as what is thrown does, for all that is known: by three places or more, or since it fell.
 
-        Two places may be those of two things, or of one that has come apart.
+        Two places may be those of two things, or of one that has come apart. What has strayed from its course once is
+        asked to show that it falls: what is carried on a bend is as fast, and goes elsewhere.
         """
+        if self.falls is not None or self.strayed:
+            return bool(self.falls)
         is_sure = len(self.way.times) >= _PLACES and self.velocity_sigma < _SURE
-        return bool(self.falls) or (self.falls is None and self.flies and is_sure)
+        return is_sure and self.flies and self.way.may_fall
 
     def followed(self, time: float, middle: Float64, sigma: float) -> Course:
         """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
@@ -145,14 +157,14 @@ class Course:
                 if not any(leads.values()):
                     return self._hit(time, middle, sigma, step, astray)
                 falls = None  # what came down lies or rolls, or what went straight is let go
-        longer = Course(self.way.longer(time, middle, sigma), step, astray, falls)
+        longer = Course(self.way.longer(time, middle, sigma), step, astray, falls, self.strayed)
         return longer if is_slow else longer._fitted()
 
     def _hit(self, time: float, middle: Float64, sigma: float, step: Float64, astray: float) -> Course:
         """Begun anew where it does not lead to, with the velocity of its last step: that changed on the way."""
         if self.flies:
             astray = max(astray, _length(step - self.velocity))
-        return Course(_Way.begun(time, middle, sigma), step, astray, self.falls)
+        return Course(_Way.begun(time, middle, sigma), step, astray, self.falls, strayed=not self.falls)
 
     def _fitted(self) -> Course:
         """With what all of its places say of its velocity, where it flies, and of whether it falls."""
@@ -171,5 +183,5 @@ class Course:
         elif difference < -_SHOWN and straight.misfit < limit:
             falls = False
         line = straight if falls is False else falling
-        told = Course(self.way, line.velocity, line.velocity_sigma, falls)
-        return told if told.flies else Course(self.way, self.velocity, self.velocity_sigma, falls)
+        told = replace(self, velocity=line.velocity, velocity_sigma=line.velocity_sigma, falls=falls)
+        return told if told.flies else replace(self, falls=falls)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +39,17 @@ class Watch:
     """Share of all that moves now, new or not, that lay outside the forecast made for now."""
     agreement: float = 1.0
     """Running mean share of the measured moving surface that no other camera sees past."""
+    weighed: int = 2
+    """Judgements in that mean, of two at the start that all agrees."""
 
     def after(self, all_: Held) -> Watch:
         """With a judgement of everything that moves now."""
         unforeseen = 1 - all_.covered / all_.seen if all_.seen >= FEWEST else 0.0
         if all_.measured < FEWEST:
-            return Watch(unforeseen, self.agreement)
-        rate = 1 / AGREEMENT_JUDGEMENTS
-        return Watch(unforeseen, (1 - rate) * self.agreement + rate * all_.agreed / all_.measured)
+            return replace(self, unforeseen=unforeseen)
+        weighed = min(self.weighed + 1, AGREEMENT_JUDGEMENTS)
+        agreement = self.agreement + (all_.agreed / all_.measured - self.agreement) / weighed
+        return Watch(unforeseen, agreement, weighed)
 
     @property
     def warnings(self) -> tuple[str, ...]:
