@@ -24,8 +24,6 @@ standard deviations."""
 _PLACES, _SURE = 3, 0.4
 """Fewest places that show a flight, and how well they must tell its velocity, m/s: what does not lie on one course
 begins a new one, but the middle of what changes its shape may lie anywhere."""
-_LIKELY = 2.0
-"""Times what is expected of it that the misfit (chi^2) of a flight may be: what misses more goes its own way."""
 _WEIGHTLESS = np.zeros(3)
 
 
@@ -103,11 +101,6 @@ class _Way:
 
         return {True: line(GRAVITY), False: line(_WEIGHTLESS)}
 
-    @property
-    def may_fall(self) -> bool:
-        """Whether it is a fall's, as far as its places, two or more, are known."""
-        return self.lines[True].misfit <= _LIKELY * 3 * (len(self.times) - 2)
-
 
 @dataclass(frozen=True)
 class Course:
@@ -144,7 +137,7 @@ class Course:
         if self.falls is not None or self.strayed:
             return bool(self.falls)
         is_sure = len(self.way.times) >= _PLACES and self.velocity_sigma < _SURE
-        return is_sure and self.flies and self.way.may_fall
+        return is_sure and self.flies
 
     def followed(self, time: float, middle: Float64, sigma: float) -> Course:
         """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
