@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,9 @@ SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
 JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
 """How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
+
+
+Read = TypeVar("Read")
 
 
 class Said(Protocol):
@@ -71,6 +74,11 @@ class Snapshot:
     earlier: Earlier = _nothing
     joints_begin: JointsBegin = _never
 
+    def _newest(self, topic: str, read: Callable[[Message], Read]) -> Read | None:
+        """What a topic's newest message says."""
+        said = self.said.get(topic)
+        return None if said is None else read(said.message)
+
     @cached_property
     def cloud(self) -> GaussianCloud | None:
         """All Gaussians: those that stand from the last whole cloud, those that move from the newest."""
@@ -90,8 +98,7 @@ class Snapshot:
     @cached_property
     def occupancy(self) -> Occupancy | None:
         """The newest forecast of occupied space."""
-        said = self.said.get(OCCUPANCY)
-        return None if said is None else convert.occupancy_from_message(said.message)
+        return self._newest(OCCUPANCY, convert.occupancy_from_message)
 
     @property
     def foreseen(self) -> Occupancy | None:
@@ -104,26 +111,22 @@ class Snapshot:
     @cached_property
     def obstacles(self) -> Obstacles | None:
         """The newest obstacles, of every interval of their validity."""
-        said = self.said.get(OBSTACLES)
-        return None if said is None else convert.obstacles_from_message(said.message)
+        return self._newest(OBSTACLES, convert.obstacles_from_message)
 
     @cached_property
     def separation(self) -> Separation | None:
         """The newest decision about the arm's speed."""
-        said = self.said.get(SEPARATION)
-        return None if said is None else convert.separation_from_message(said.message)
+        return self._newest(SEPARATION, convert.separation_from_message)
 
     @cached_property
     def status(self) -> convert.Status | None:
         """The newest word of the twin about itself."""
-        said = self.said.get(STATUS)
-        return None if said is None else convert.status_from_message(said.message)
+        return self._newest(STATUS, convert.status_from_message)
 
     @cached_property
     def joints(self) -> JointSample | None:
         """The newest joints: an arm's, a gripper's or an axis'; see `joints_of`."""
-        said = self.said.get(JOINT_STATES)
-        return None if said is None else convert.joint_sample_from_message(said.message)
+        return self._newest(JOINT_STATES, convert.joint_sample_from_message)
 
     def joints_of(self, names: Collection[str]) -> JointSample | None:
         """The newest joints among which are all of `names`: a gripper's come on the same topic as the arm's.
