@@ -18,7 +18,7 @@ from twin_node.scene import Float64, Tier
 
 SHARES = (0.01, 0.03, 0.1, 0.25, 0.5)
 """Shares of the pixels that are to move; what is reached is measured."""
-CAPACITIES = (1_350, 6_000, 22_000, 100_000)
+CAPACITIES = (1_350, 6_000, 26_000, 100_000)
 """Gaussians that scenes which differ in nothing else have room for; the first set fills a part of them."""
 MOST_MOVING = 400
 """Of them, that may move: the same in all scenes, and less than the smallest has room for beside what stands."""
