@@ -52,6 +52,6 @@ def test_a_step_of_the_fit_waits_for_the_device_twice_and_sends_it_nothing() -> 
             followed(NAME, sliding(1, rig(56, 42)), steps)
         return counted
 
-    one, four = traffic(1), traffic(4)
-    assert four.waits == one.waits + 3 * 2  # whether what is drawn, and what is compared, is finite
-    assert four.sent == one.sent
+    one, two = traffic(1), traffic(2)
+    assert two.waits == one.waits + 2  # whether what is drawn, and what is compared, is finite
+    assert two.sent == one.sent

@@ -25,7 +25,9 @@ PLANE_SAMPLES = 4000
 """Measured points that the dominant plane is fitted to."""
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
-SEED_OPACITY = 0.7
+SEED_OPACITY = 0.5
+SEED_SIGMA = 1.5
+"""Of a Gaussian, in radii of the block that it stands for: neighbours overlap, so that other views see no gaps."""
 CELL = 1.4
 """Side of the cells in which blocks of several views are merged, in radii of a block, which is two wide: what two views
 show of one place they show of different halves of it."""
@@ -150,7 +152,7 @@ def _merged(blocks: _Blocks) -> _Blocks:
 
 def _as_newborns(blocks: _Blocks, plane: Plane | None, device: torch.device) -> Newborns:
     flat = torch.from_numpy(blocks.flat)
-    scales = torch.from_numpy(blocks.radii)[:, None].repeat(1, 3)
+    scales = SEED_SIGMA * torch.from_numpy(blocks.radii)[:, None].repeat(1, 3)
     scales[:, 2] *= torch.where(flat, FLATNESS, 1.0)
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     normal = up if plane is None else torch.from_numpy(plane.normal)
