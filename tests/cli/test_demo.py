@@ -48,7 +48,7 @@ def test_it_works_without_viser(
 def test_it_is_shown_where_asked(short_demo: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser")
     shown: list[Any] = []
-    monkeypatch.setattr(replay, "view_log", lambda logs, arm, port: shown.append((logs, arm, port)))
+    monkeypatch.setattr(replay, "view_log", lambda logs, arm, port: shown.append((logs, arm.model, port)))
     port = free_port()
     assert main(["demo", "--out", str(tmp_path), "--viewer", "--port", str(port)]) == 0
     assert shown == [([tmp_path / "twin.mcap", tmp_path / "demo.mcap"], "ur5e", port)]

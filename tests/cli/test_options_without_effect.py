@@ -19,6 +19,7 @@ from twin_node.cli import main
         (["bench", "methods", "--rig", "rig.yaml"], "--rig", "expected with recorded data"),
         (["bench", "methods", "--hold-out", "front"], "--hold-out", "expected with recorded data"),
         (["demo", "--port", "8081"], "--port", "expected with --viewer"),
+        (["export", "a.mcap", "--to", "csv", "-o", "a", "--arm", "ur5e", "--params", "p.yaml"], "--arm", "expected"),
         (["record", "-a", "/tf", "/twin/status"], "--all", "expected instead of topics, found /tf, /twin/status too"),
     ],
 )

@@ -16,7 +16,10 @@ from twin_node.ranges import WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
 
 if TYPE_CHECKING:
+    from twin_node.nodes.arm_parameters import ArmParameters
     from twin_node.nodes.chain_parameters import ChainParameters
+
+DEFAULT_ARM = "ur10e"
 
 RATES = Range(0.001, 1000)
 """Of films and exports, Hz: the fastest of what they show, the arm's joints, come at 500 Hz."""
@@ -41,6 +44,25 @@ def add_remap(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
     )
+
+
+def add_arm(parser: argparse.ArgumentParser) -> None:
+    """Which arm's joints a log has, by its name or as the twin was told."""
+    parser.add_argument("--arm", metavar="ARM", help=f"arm of the joints in the log (default {DEFAULT_ARM})")
+    parser.add_argument(
+        "--params", type=Path, metavar="FILE.yaml", help="ROS parameter file that says which arm it is, and its tool"
+    )
+
+
+def arm_of(options: argparse.Namespace) -> ArmParameters:
+    """The arm that `add_arm`'s options name. Raises `TwinError` for both of them, and for a wrong parameter file."""
+    from twin_node.nodes.arm_parameters import ArmParameters
+    from twin_node.nodes.chain_parameters import load_parameters
+
+    if options.params is None:
+        return ArmParameters(model=options.arm or DEFAULT_ARM)
+    refuse_given(options, ("arm",), "expected without --params, whose section 'arm' names it; leave one of them out")
+    return load_parameters(options.params).arm
 
 
 def with_source_options(parameters: ChainParameters, options: argparse.Namespace) -> ChainParameters:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import add_remap, not_negative, rate, refuse_given
+from twin_node.cli.arguments import add_arm, add_remap, arm_of, not_negative, rate, refuse_given
 from twin_node.cli.playback import open_playback
 from twin_node.cli.progress import counted
 from twin_node.errors import TwinError
@@ -34,20 +34,19 @@ def add_export(commands: Any) -> None:
     export.add_argument("--stop", type=not_negative, metavar="S", help="range: up to here (default the log's end)")
     export.add_argument("--rate", type=rate, metavar="HZ", help="range: moments per second (default 30)")
     add_remap(export)
-    export.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
+    add_arm(export)
     export.set_defaults(run=_export)
 
 
 def _export(options: argparse.Namespace) -> None:
     from twin_node.nodes.export import ExportSpan, export
-    from twin_node.robot import arm_model
 
     if options.at is not None:
         refuse_given(options, ("start", "stop", "rate"), "expected with a range; leave --at out, or them")
         span = ExportSpan.one(options.at)
     else:
         span = ExportSpan(options.start or 0.0, options.stop, options.rate or 30.0)
-    arm = arm_model(options.arm)
+    arm = arm_of(options).arm()
     with _open(options.log, options.remap) as source, counted("export", "moment") as show:
         count = export(source, options.to, span, arm, options.output, show)
     print(f"{options.output}: {count} moment{'s' if count > 1 else ''}")

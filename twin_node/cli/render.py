@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_remap, check_output, not_negative, rate, refuse_given, width
+from twin_node.cli.arguments import add_arm, add_remap, arm_of, check_output, not_negative, rate, refuse_given, width
 from twin_node.cli.playback import open_playback
 
 if TYPE_CHECKING:
@@ -42,20 +42,19 @@ def add_render(commands: Any) -> None:
     )
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     add_remap(render)
-    render.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
+    add_arm(render)
     render.set_defaults(run=_render)
 
 
 def _render(options: argparse.Namespace) -> None:
     from twin_node.nodes.film import PICTURES, Film, write_film, write_picture
-    from twin_node.robot import arm_model
 
     check_output(options.output, FILM, *PICTURES)
     is_film = options.output.suffix == FILM
-    span = _span_of(options, is_film)
+    span, arm = _span_of(options, is_film), arm_of(options).arm()
     with open_playback(options.log, options.width, options.rig, remaps=options.remap) as playback:
         view = options.view or ("beside" if playback.cameras else "orbit")
-        film = Film(playback, view, options.width, arm_model(options.arm), options.camera)
+        film = Film(playback, view, options.width, arm, options.camera)
         stamps = span.stamps(playback.start_ns, playback.end_ns)
         if not is_film:
             write_picture(film.picture(playback.at(stamps[0])), options.output)

@@ -6,14 +6,18 @@ import argparse
 import contextlib
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_remap, not_negative, port, refuse_given, width
+from twin_node.cli.arguments import add_arm, add_remap, arm_of, not_negative, port, refuse_given, width
 from twin_node.cli.ending import SIGNALS, ended_by
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
+
+if TYPE_CHECKING:
+    from twin_node.nodes.arm_parameters import ArmParameters
 
 
 def add_view(commands: Any) -> None:
@@ -31,7 +35,7 @@ def add_view(commands: Any) -> None:
     )
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
     add_remap(view)
-    view.add_argument("--arm", default="ur10e", metavar="ARM", help="arm of the joints in the log (default ur10e)")
+    add_arm(view)
     view.add_argument("--width", type=width, metavar="PX", help="width of the images (default 320 of logs, 160 live)")
     view.add_argument("--at", type=not_negative, metavar="S", help="begin S seconds into the log (default 0)")
     view.add_argument(
@@ -55,7 +59,7 @@ def _view(options: argparse.Namespace) -> None:
     view_log(
         options.log,
         options.rig,
-        options.arm,
+        arm_of(options),
         options.width or 320,
         options.at or 0.0,
         options.host,
@@ -67,7 +71,7 @@ def _view(options: argparse.Namespace) -> None:
 def view_log(
     logs: list[Path],
     rig: Path | None = None,
-    arm: str = "ur10e",
+    arm: ArmParameters | None = None,
     images_px: int = 320,
     at_s: float = 0.0,
     host: str = "127.0.0.1",
@@ -76,10 +80,10 @@ def view_log(
 ) -> None:
     """Shows the logs of a run until interrupted; says where."""
     with _interrupts() as is_interrupted:
+        from twin_node.nodes.arm_parameters import ArmParameters
         from twin_node.nodes.viewer import CellPage, LogViewer
-        from twin_node.robot import arm_model
 
-        model = arm_model(arm)
+        model = (arm or ArmParameters()).arm()
         with open_playback(logs, images_px, rig, remaps=remaps) as playback:
             length_s = (playback.end_ns - playback.start_ns) / 1e9
             if at_s > length_s:
@@ -129,5 +133,4 @@ def _view_graph(options: argparse.Namespace) -> None:
     if options.width:
         parameters["width"] = options.width
     zenoh = ZenohParameters(endpoint=options.endpoint) if options.endpoint else None
-    arm = {"arm": {"model": options.arm}}
-    run_single("viewer", parameters, "view", zenoh=zenoh, others=arm, follows_clock=True)
+    run_single("viewer", parameters, "view", zenoh=zenoh, others={"arm": asdict(arm_of(options))}, follows_clock=True)
