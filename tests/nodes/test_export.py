@@ -23,7 +23,7 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
-from twin_node.model.sequence import Box, Recording, Trainer, TrainParameters, save_checkpoint
+from twin_node.model.sequence import Box, HexPlaneParameters, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import ExportError, ExportSpan, LogSource, Moment, export
 from twin_node.nodes.export.clouds import write_spz
 from twin_node.nodes.playback import Playback
@@ -31,7 +31,7 @@ from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.snapshot import in_force
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
 from twin_node.robot import ArmModel, ur_model
-from twin_node.scene import Camera, GaussianCloud, View
+from twin_node.scene import Camera, GaussianCloud, Tier, View
 
 SH_C0 = 0.28209479177387814
 
@@ -135,6 +135,17 @@ def test_mujoco_finds_the_distances_of_the_checker(twin_log: Path, tmp_path: Pat
         checker.update(in_force(obstacles_at(key, stamp), stamp))
         assert _smallest(model, data) == pytest.approx(checker.distance(data.qpos).distance, abs=1e-6)
     compile((tmp_path / "cell_play.py").read_text(), "cell_play.py", "exec")
+
+
+def test_an_arm_is_exported_as_a_parameter_file_has_it(twin_log: Path, tmp_path: Path) -> None:
+    """Its tool too: simulated without it the arm would stay farther from everything than it does."""
+    tool = "{start: [0, 0, 0.05], end: [0, 0, 0.25], radius: 0.04}"
+    (tmp_path / "p.yaml").write_text(f"arm: {{ros__parameters: {{model: ur5e, tool: [{tool}]}}}}\n")
+    out = tmp_path / "a.xml"
+    given = ["--to", "mjcf", "--at", 0, "-o", out, "--params", tmp_path / "p.yaml"]
+    assert main(["export", *map(str, [twin_log, *given])]) == 0
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert np.count_nonzero(model.body_mocapid[model.geom_bodyid] < 0) == len(ur_model("ur5e").capsules.radii) + 1
 
 
 def _smallest(model: mujoco.MjModel, data: mujoco.MjData) -> float:
@@ -361,3 +372,26 @@ def test_a_trained_model_is_a_source_of_gaussians(tmp_path: Path, capsys: pytest
         assert np.allclose(getattr(read, name), values, atol=1e-4), name
     assert run(tmp_path / "model.safetensors", "--to", "mjcf", "-o", tmp_path / "a.xml") == 2
     assert "found Gaussians alone" in capsys.readouterr().err
+
+
+def test_a_trained_model_tells_how_fast_it_moves(tmp_path: Path) -> None:
+    """Velocities are those of its field, to both ends of what it knows; one without a field stands."""
+    box, cloud = Box(-torch.ones(3), torch.ones(3)), cloud_at(0, True)
+    camera = Camera("left", 16, 12, np.diag([16.0, 16, 1]), np.eye(4))
+    views = tuple(View(camera, k * 100_000_000, np.zeros((12, 16, 3), np.uint8)) for k in range(3))
+    for method in ("hexplane", "static"):
+        parameters = TrainParameters(method=method, degree=0, hexplane=HexPlaneParameters(resolution=4, levels=(1,)))
+        trainer = Trainer(Recording("made up", views), parameters, stored_from_cloud(cloud), box)
+        field = trainer.model.field
+        for values in () if field is None else field.parameters():
+            torch.nn.init.uniform_(values, generator=torch.Generator().manual_seed(0))
+        save_checkpoint(trainer, tmp_path / "model.safetensors")
+        given = ("--to", "npz", "--rate", 1000, "-o", tmp_path / f"{method}.npz")
+        assert run(tmp_path / "model.safetensors", *given) == 0
+    arrays, standing = np.load(tmp_path / "hexplane.npz"), np.load(tmp_path / "static.npz")
+    means, velocities = (arrays[name].reshape(-1, len(cloud.ids), 3) for name in ("means", "velocities"))
+    fastest = np.abs(velocities).max()
+    assert fastest > 0.1 and (arrays["tiers"] == Tier.DEFORMABLE).all()
+    assert np.allclose(velocities[50], (means[60] - means[40]) / 0.02, atol=1e-3 * fastest)
+    assert np.allclose(velocities[-1], (means[-1] - means[-11]) / 0.01, atol=1e-3 * fastest)
+    assert not standing["velocities"].any() and (standing["tiers"] == Tier.STATIC).all()

@@ -16,7 +16,10 @@ from twin_node.nodes.export.moments import ExportError, Moment
 from twin_node.nodes.snapshot import in_force
 from twin_node.nodes.topics import GAUSSIANS
 from twin_node.robot import ArmModel
-from twin_node.scene import GaussianCloud, Tier
+from twin_node.scene import Float32, GaussianCloud, Tier
+
+VELOCITY_NS = 10_000_000
+"""How far before and after a time Gaussians are looked at for their velocities, ns."""
 
 
 class CheckpointSource:
@@ -39,14 +42,19 @@ class CheckpointSource:
     def moments(self, stamps: Sequence[int], arm: ArmModel | None, with_clouds: bool) -> Iterator[Moment]:
         """The moments at rising `stamps` (ns)."""
         for stamp in stamps:
+            before, after = max(stamp - VELOCITY_NS, self.start_ns), min(stamp + VELOCITY_NS, self.end_ns)
             with torch.no_grad():
-                moved = self._model.at([stamp])
+                moved = self._model.at([stamp, before, after])
+            means, ns = moved.means.detach().numpy(), after - before
+            velocities = (means[2] - means[1]) * np.float32(1e9 / ns) if ns > 0 else np.zeros_like(means[0])
+            tier = Tier.STATIC if self._model.field is None else Tier.DEFORMABLE
             harmonics = moved.sh.detach().numpy().astype(np.float32)
-            yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(None, stamp), None, _cloud(moved), harmonics)
+            cloud = _cloud(moved, velocities, tier)
+            yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(None, stamp), None, cloud, harmonics)
 
 
-def _cloud(moved: MovedGaussians) -> GaussianCloud:
-    """The Gaussians of one time, in the mean colour of all sides."""
+def _cloud(moved: MovedGaussians, velocities: Float32, tier: Tier) -> GaussianCloud:
+    """The Gaussians of the first time, all of one tier, in the mean colour of all sides."""
     stored = StoredGaussians(
         moved.means[0].detach().numpy(),
         moved.quats[0].detach().numpy(),
@@ -55,4 +63,4 @@ def _cloud(moved: MovedGaussians) -> GaussianCloud:
         moved.sh.detach().numpy(),
     )
     cloud = cloud_from_stored(stored)
-    return replace(cloud, tiers=np.full(len(stored), Tier.DEFORMABLE, np.uint8))
+    return replace(cloud, velocities=velocities, tiers=np.full(len(stored), tier, np.uint8))
