@@ -307,9 +307,19 @@ def test_a_message_that_cannot_be_shown_is_told_and_others_are_shown(
         assert told[1] is not None and "is not finite" in told[1]
 
 
-def test_time_before_the_first_word_is_an_empty_page(page: CellPage, twin_log: Path) -> None:
-    find = shown(page, twin_log, seconds=-1e-9 * PERIOD)
-    assert find("/gaussians/static") is None and find("/arm/forearm_link") is None
+def test_time_before_the_first_word_is_an_empty_page(
+    page: CellPage, twin_log: Path, cell_log: Callable[..., Path]
+) -> None:
+    """Also for those who seek back to it."""
+    with Playback([twin_log, cell_log(0.5)], 80) as playback:
+        page.set_cameras(playback.cameras)
+        find = page.server.scene.get_handle_by_name
+        for _ in range(2):
+            page.show(playback.at(START - PERIOD))
+            assert find("/gaussians/static") is None and find("/gaussians/moving") is None
+            assert not find("/arm/forearm_link").visible and find("/cameras/cam_front").image is None
+            page.show(playback.at(START + 5 * PERIOD))
+            assert find("/gaussians/static").visible and find("/cameras/cam_front").image is not None
 
 
 @pytest.mark.parametrize(

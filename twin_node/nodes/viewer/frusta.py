@@ -40,7 +40,11 @@ class Frusta:
         for handle in self._handles.values():
             handle.visible = self.is_shown
         frames = snapshot.frames if self.is_shown else None
-        for view in frames.views if frames is not None else ():
+        views = () if frames is None else frames.views
+        for name in self._shown.keys() - {view.camera.name for view in views} if self.is_shown else ():
+            del self._shown[name]  # it had no image yet: the one that is there is of later
+            self._handles[name].image = None
+        for view in views:
             name = view.camera.name
             look = (view.stamp, self._masks_stamp(snapshot))
             if self._shown.get(name) != look:

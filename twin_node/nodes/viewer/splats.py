@@ -36,7 +36,10 @@ class SplatLayers:
         for layer in self._layers.values():
             layer.visible = self.is_shown
         cloud = snapshot.cloud
-        if cloud is None:
+        if cloud is None:  # before the first: those that are there are of later
+            self._still_stamp = None
+            for name in tuple(self._layers):
+                self._layers.pop(name).remove()
             return
         still = cloud.tiers == Tier.STATIC
         is_back = snapshot.stamp < self._shown_at  # what began to move since then stands again
