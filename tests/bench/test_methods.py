@@ -14,7 +14,7 @@ import torch
 from matplotlib.figure import Figure
 
 from twin_node.bench.errors import BenchError
-from twin_node.bench.methods import chart
+from twin_node.bench.methods import chart, whole_sequence
 from twin_node.bench.methods.chart import draw_chart, text
 from twin_node.bench.methods.following import Population, follow_populations, no_motion, stand_still
 from twin_node.bench.methods.made_up import MadeUp, MadeUpParameters, make_up
@@ -25,7 +25,7 @@ from twin_node.bench.methods.table import METHODS, MethodsBench, run
 from twin_node.bench.methods.truth import MotionTruth, track_errors_mm
 from twin_node.geometry import project
 from twin_node.model import ModelParameters, SeedParameters
-from twin_node.model.sequence import Span, split
+from twin_node.model.sequence import SequenceModel, Span, split
 from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
 
@@ -283,3 +283,34 @@ def test_half_of_the_rays_look_at_what_moves(scene: MadeUp) -> None:
         np.testing.assert_allclose(rgb, at / 255, atol=1e-6)
         moving += np.abs(at - median[int(v), int(u)]).max() > 255 * MOVING
     assert 200 <= moving < 300
+
+
+def test_rays_are_learnt_of_valid_pixels_alone(scene: MadeUp) -> None:
+    """What undistortion leaves black is no part of the scene, and not scored either."""
+    recording = scene.recording
+    name = recording.cameras[0].name
+    views = [view for view in recording.train if view.camera.name == name]
+    valid = np.ones(views[0].rgb.shape[:2], bool)
+    valid[:, :40] = False
+    marked = [dataclasses.replace(one, valid=valid, rgb=np.where(valid[..., None], one.rgb, 0)) for one in views]
+    marked[1].rgb[~valid] = 255  # it changes, as what moves does
+    pixels = CameraPixels(marked, Span(recording.first, recording.last))
+    sample = pixels.draw(400, torch.Generator().manual_seed(0))
+    uv = project(views[0].camera.K, views[0].camera.viewmat, (sample.rays.origins + sample.rays.directions).numpy())
+    assert uv[:, 0].min() > 40
+
+
+def test_what_shows_the_plateau_is_scored_when_all_is_learnt(scene: MadeUp, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a rival's training would take as long as it takes to draw the probes."""
+    told: list[float] = []
+    scored: list[SequenceModel] = []
+
+    def score(model: SequenceModel, _views: object) -> float:
+        assert told[-1] == 1
+        scored.append(model)
+        return 0.0
+
+    monkeypatch.setattr(whole_sequence, "mean_psnr", score)
+    whole_sequence.fit_plain(scene.recording, BUDGET, told.append)
+    after, before = (model.gaussians.means for model in scored)
+    assert not torch.equal(after, before)

@@ -17,6 +17,7 @@ from twin_node.model.sequence import Box, Recording, Span
 from twin_node.model.sequence.field import linear
 from twin_node.model.sequence.hex_plane import Planes
 from twin_node.model.sweep import Shell, shell_around
+from twin_node.nodes.report.quality import valid_pixels
 from twin_node.scene import Camera, Float32, View
 
 NEAR, FAR = 0.25, 2.5
@@ -130,12 +131,13 @@ class CameraPixels:
         self._times = span.times([view.stamp for view in views])
         self._rgb = torch.from_numpy(images).view(len(views), -1, 3)
         changed = np.abs(images - np.median(images, axis=0)).max(-1) > 255 * MOVING
-        self._moving = torch.from_numpy(np.flatnonzero(changed))
+        valid = np.stack([valid_pixels(view) for view in views])
+        self._valid, self._moving = (torch.from_numpy(np.flatnonzero(of)) for of in (valid, changed & valid))
 
     def draw(self, count: int, random: torch.Generator) -> Sample:
-        """`count` pixels: half of all, half of the moving ones where there are any."""
+        """`count` valid pixels: half of all, half of the moving ones where there are any."""
         pixels = self._rgb.shape[1]
-        chosen = torch.randint(len(self._times) * pixels, (count,), generator=random)
+        chosen = self._valid[torch.randint(len(self._valid), (count,), generator=random)]
         if len(self._moving):
             some = torch.randint(len(self._moving), (count // 2,), generator=random)
             chosen[: count // 2] = self._moving[some]
