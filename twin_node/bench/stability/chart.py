@@ -23,7 +23,7 @@ TITLES = {
     "previous_image": "picture: previous image",
 }
 """In the order of the chart, and with the colours below."""
-COLOURS = ("#c0392b", "#7f8c8d", "#2980b9", "#8e44ad", "#d4a017", "#27ae60")
+COLOURS = ("#c0392b", "#7f8c8d", "#2980b9", "#4a235a", "#d4a017", "#7fd6a0")
 NEVER = "-"
 
 

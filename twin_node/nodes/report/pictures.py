@@ -16,7 +16,7 @@ from twin_node.forecast.score import projected
 from twin_node.nodes.report.quality import Image
 from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
 
-TIER_COLOURS = ("#9aa0a6", "#188038", "#1a73e8", "#a142f4", "#f29900")
+TIER_COLOURS = ("#9aa0a6", "#188038", "#1a73e8", "#4a148c", "#f29900")
 FORESEEN = (66, 133, 244)
 TRUE = (52, 168, 83)
 MASK = (255, 0, 160)
