@@ -73,8 +73,14 @@ def test_a_resumed_run_takes_the_missing_steps(checkpoint: Path, cell_log: Calla
     assert load_checkpoint(out).header.step == load_checkpoint(checkpoint).header.step + 2
 
 
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
-    checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    number: int,
+    status: int,
+    checkpoint: Path,
+    cell_log: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "model.safetensors"
     started = ["train", str(cell_log(0.5)), "-o", str(out), "--width", "48"]
@@ -82,14 +88,14 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
 
     def interrupted(trainer: Trainer) -> None:
         if trainer.step == 2:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         follow(trainer)
 
-    handler = signal.getsignal(signal.SIGINT)
+    handler = signal.getsignal(number)
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "_apply", interrupted)
-        assert main([*started, "--steps", "4", "--gaussians", "800"]) == 130
-    assert signal.getsignal(signal.SIGINT) is handler
+        assert main([*started, "--steps", "4", "--gaussians", "800"]) == status
+    assert signal.getsignal(number) is handler
     assert load_checkpoint(out).header.step == 3
     assert main([*started, "--resume", str(out)]) == 0
     whole, mended = load_checkpoint(checkpoint).tensors, load_checkpoint(out).tensors

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from twin_node.cli.arguments import check_output, seed, whole, width
+from twin_node.cli.ending import SIGNALS, ended_by
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Recording, Trainer
@@ -57,8 +58,8 @@ def add_train(commands: Any) -> None:
     train.add_argument(
         "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
     )
-    train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint, exactly")
-    train.add_argument("--device", metavar="NAME", help="torch device, such as cuda (default cpu)")
+    train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint; exactly, on its device")
+    train.add_argument("--device", metavar="NAME", help="torch device, such as cuda (default cpu, or that of --resume)")
     train.add_argument("--seed", type=seed, metavar="N", help="seed of all random numbers (default 0)")
     train.set_defaults(run=_train)
 
@@ -80,38 +81,48 @@ def _train(options: argparse.Namespace) -> None:
     )
     trainer = _trainer(recording, options)
     with (
-        _interrupted_between_steps() as is_interrupted,
+        _ended_between_steps() as ended_by_signal,
         tqdm(total=trainer.parameters.all_steps, initial=trainer.step, unit="step", disable=None) as bar,
     ):
-        while not trainer.finished and not is_interrupted():
+        while not trainer.finished and ended_by_signal() is None:
             loss = trainer.advance()
             bar.update()
             bar.set_postfix(loss=f"{loss:.4f}", gaussians=len(trainer.model.gaussians), refresh=False)
             if trainer.step % SAVE_EVERY == 0:
                 save_checkpoint(trainer, options.output)
         save_checkpoint(trainer, options.output)
-        if is_interrupted():
-            raise KeyboardInterrupt
+        number = ended_by_signal()
+        if number is not None:
+            raise ended_by(number)
     _report(trainer, options.output)
 
 
 @contextlib.contextmanager
-def _interrupted_between_steps() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C waits for the end of a step: what is saved in the middle of one would not go on as if nothing had been.
+def _ended_between_steps() -> Iterator[Callable[[], int | None]]:
+    """What ends a command, Ctrl-C or a terminal that was closed, waits for the end of a step: what is saved in the
+    middle of one would not go on as if nothing had been.
 
-    Gives what tells whether it came; a second one waits for nothing, and leaves the last checkpoint as it is.
+    Gives what tells the signal that came; a second one waits for nothing, and leaves the last checkpoint as it is. One
+    that is ignored (`nohup`) stays so.
     """
-    came = threading.Event()
+    came: list[int] = []
 
-    def wait(*_: object) -> None:
-        came.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    def wait(number: int, _: FrameType | None) -> None:
+        came.append(number)
+        restore()
 
-    before = signal.signal(signal.SIGINT, wait)
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *SIGNALS)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, wait)
     try:
-        yield came.is_set
+        yield lambda: came[0] if came else None
     finally:
-        signal.signal(signal.SIGINT, before)
+        restore()
 
 
 def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
@@ -122,10 +133,10 @@ def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
     from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
 
     if options.resume is not None:
-        for name in ("method", "seed", "gaussians", "device"):
+        for name in ("method", "seed", "gaussians"):
             if getattr(options, name) is not None:
                 raise TwinError(f"--{name}: expected without --resume, which goes on as {options.resume} began")
-        return load_checkpoint(options.resume).resume(recording, options.steps)
+        return load_checkpoint(options.resume).resume(recording, options.steps, options.device)
     given = {"method": options.method, "steps": options.steps, "seed": options.seed, "device": options.device}
     parameters = replace(TrainParameters(), **{name: value for name, value in given.items() if value is not None})
     if options.gaussians is not None:

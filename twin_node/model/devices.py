@@ -12,4 +12,4 @@ def usable_device(name: str) -> torch.device:
     try:
         return torch.empty(0, device=name).device
     except (RuntimeError, AssertionError):
-        raise ModelError(f"device: expected cpu or a CUDA device that is there, found '{name}'") from None
+        raise ModelError(f"device: expected cpu or a CUDA device that is there, found '{name}'; name another") from None

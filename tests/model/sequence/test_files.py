@@ -94,6 +94,21 @@ def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None
     assert trainer.step == trained.step + 1
 
 
+def test_training_goes_on_where_the_device_is_that_is_named(trained: Trainer, checkpoint: Path, tmp_path: Path) -> None:
+    """A checkpoint of a machine with a GPU, on one without."""
+    path = tmp_path / "elsewhere.safetensors"
+    with safe_open(checkpoint, framework="pt") as file:
+        metadata = file.metadata()
+    header = json.loads(metadata["header"])
+    header["parameters"]["device"] = "cuda:99"
+    save_file(load_file(checkpoint), path, {**metadata, "header": json.dumps(header)})
+    with pytest.raises(ModelError, match="'cuda:99'; name another"):
+        load_checkpoint(path).resume(trained.recording)
+    trainer = load_checkpoint(path).resume(trained.recording, steps=trained.parameters.steps + 2, device="cpu")
+    trainer.advance()
+    assert trainer.step == trained.step + 1 and trainer.parameters.device == "cpu"
+
+
 def _resave(path: Path, **changes: str) -> None:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()

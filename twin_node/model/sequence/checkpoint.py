@@ -98,10 +98,10 @@ class Checkpoint:
         """What the field spans."""
         return Box(self.tensors["box.lower"], self.tensors["box.upper"])
 
-    def resume(self, recording: Recording, steps: int | None = None) -> Trainer:
-        """The trainer as it was when it was saved; with `steps` in place of the checkpoint's own number.
+    def resume(self, recording: Recording, steps: int | None = None, device: str | None = None) -> Trainer:
+        """The trainer as it was when it was saved; with `steps` and on the `device` in place of the checkpoint's own.
 
-        Raises `ModelError` where the recording is not the one that was trained on.
+        Raises `ModelError` where the recording is not the one that was trained on, and for a device that is not there.
         """
         header = self.header
         found = tuple(sorted({view.stamp for view in recording.train}))
@@ -116,6 +116,8 @@ class Checkpoint:
         if steps is not None:
             share = parameters.coarse_steps / steps  # the static stage stays as long as it was
             parameters = dataclasses.replace(parameters, steps=steps, coarse_share=share)
+        if device is not None:
+            parameters = dataclasses.replace(parameters, device=device)
         trainer = Trainer(recording, parameters, self.stored, self.box)
         trainer.step = header.step
         trainer.model.gaussians.restore(self._part("adam."))
