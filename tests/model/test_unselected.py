@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from model_scenes import frames, rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
+from twin_node.model.decisions import BendEvidence, Kind
+from twin_node.model.evidence import PROMOTE
 from twin_node.model.quality import psnr, squared_error
 from twin_node.scene import Tier
 
@@ -41,14 +44,20 @@ def test_without_selection_the_images_are_explained_all_the_same() -> None:
 
 
 def test_where_nothing_bends_every_node_stays_rigid() -> None:
-    """Evidence says that every node bends: it does where it may, and not where it may not."""
-    tiers = []
+    """Evidence says that every node bends: it does where it may, and not where it may not; what is found is told."""
+    tiers, told = [], []
     for bends in (True, False):
         parameters = replace(PLAIN, track=replace(PLAIN.track, bends=bends))
         model = WindowModel(parameters)
         for one in sliding(14, CAMERAS, depth=True):
             model._nodes.evidence = torch.full_like(model._nodes.evidence, 40.0)
             model.update(one)
+            told += [(bends, found) for found in model.decisions if isinstance(found.grounds, BendEvidence)]
         tiers.append(model.tier_counts[Tier.DEFORMABLE])
     assert tiers[0] > 0
     assert tiers[1] == 0
+    assert told
+    for bends, found in told:
+        assert bends and found.kind is Kind.BENDS and found.node == found.other
+        assert found.grounds.evidence > PROMOTE and found.grounds.evidence == pytest.approx(36 + found.grounds.gain)
+        assert found.grounds.strained <= found.grounds.rigid and found.grounds.count >= 0

@@ -11,7 +11,8 @@ from twin_node.model.alignment import UNNOTICED_S, Twists, solve_twists
 from twin_node.model.bodies import Bodies
 from twin_node.model.cells import Cells, cells_of
 from twin_node.model.chosen import rows_where
-from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
+from twin_node.model.decisions import BendEvidence, Decision, Kind
+from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate, gain
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.haste import Haste, Part
@@ -38,6 +39,12 @@ class Aligner:
         self._nodes = nodes
         self._placer = placer
         self._bodies = bodies
+        self._decisions: list[Decision] = []
+
+    def take_decisions(self) -> list[Decision]:
+        """Which nodes have begun or ceased to bend since it was asked last."""
+        taken, self._decisions = self._decisions, []
+        return taken
 
     def follow(
         self,
@@ -125,8 +132,16 @@ class Aligner:
         alive, tiers, evidence = (of.numpy() for of in (nodes.alive, nodes.tiers, nodes.evidence))
         bending = (tiers == int(Tier.RIGID)) & (evidence > PROMOTE) & self._parameters.bends
         stiff = (tiers == int(Tier.DEFORMABLE)) & (evidence < DEMOTE)
-        for chosen, tier in ((bending & alive, Tier.DEFORMABLE), (stiff & alive, Tier.RIGID)):
+        changes = ((bending & alive, Tier.DEFORMABLE, Kind.BENDS), (stiff & alive, Tier.RIGID, Kind.STIFFENED))
+        for chosen, tier, kind in changes:
             if chosen.any():
                 rows = torch.from_numpy(chosen.nonzero()[0])
                 nodes.tiers[rows] = int(tier)
                 g.tiers[torch.isin(g.nodes, rows.to(g.nodes.device)) & g.alive] = int(tier)
+                self._decisions += [self._decision(kind, row, fits) for row in rows.tolist()]
+
+    def _decision(self, kind: Kind, row: int, fits: Fits) -> Decision:
+        nodes = self._nodes
+        terms = (fits.rigid, fits.strained, fits.count, gain(fits), nodes.evidence)
+        node = int(nodes.ids[row])
+        return Decision(kind, nodes.stamp, node, node, BendEvidence(*(float(term[row]) for term in terms)))

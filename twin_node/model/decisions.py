@@ -38,6 +38,22 @@ class BornBeside:
     """Gaussians."""
 
 
+@dataclass(frozen=True)
+class BendEvidence:
+    """What speaks for a strain beside a node's rigid motion; sums of squared errors are in units of their variance."""
+
+    rigid: float
+    """What the rigid motion leaves of the set that decided."""
+    strained: float
+    """What is left with a strain added."""
+    count: float
+    """Independent observations of that set."""
+    gain: float
+    """Nats by which the strain explains that set better, less the cost of its parameters."""
+    evidence: float
+    """Nats of all sets, older ones faded, against `PROMOTE` and `DEMOTE`."""
+
+
 class Kind(Enum):
     """What has been decided about nodes."""
 
@@ -47,6 +63,10 @@ class Kind(Enum):
     """Part of a node has gone over to another."""
     SETTLED = "settled"
     WOKEN = "woken"
+    BENDS = "bends"
+    """DEFORMABLE now, with all that it carries."""
+    STIFFENED = "stiffened"
+    """RIGID again."""
 
 
 @dataclass(frozen=True)
@@ -59,5 +79,5 @@ class Decision:
     node: int
     """Id of the node that goes on, loses a part, has come to rest, or had come to rest."""
     other: int
-    """Id of the node that has ended, begun, or gained the part; `node` itself where it settles."""
-    grounds: LogEvidence | ChangedView | BornBeside
+    """Id of the node that has ended, begun, or gained the part; `node` itself where it settles, bends or stiffens."""
+    grounds: LogEvidence | ChangedView | BornBeside | BendEvidence

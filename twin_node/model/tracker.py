@@ -165,6 +165,7 @@ class Tracker:
         if self._links is not None:
             self._links.drive(frames.joints, dt_s)
         aligned = self._align(observed, dt_s)
+        self._decisions += self._aligner.take_decisions()
         on_stage("align")
         self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
         self._judge(observed, aligned.renderings)

@@ -104,8 +104,8 @@ class WindowModel:
         """Stamp of the set that was looked at last, ns."""
         self._bytes_per_frame = 0
         self.decisions: Sequence[Decision] = ()
-        """Which nodes have merged, split and come to rest since the `update` before the last one, or were woken by
-        that, and what spoke for it."""
+        """Which nodes have merged, split and come to rest since the `update` before the last one, or were woken, found
+        to bend or found to be stiff by that, and what spoke for it."""
         self.on_stage: OnStage = unwatched
         """Told of every stage of an update that has ended, for measurements."""
 
