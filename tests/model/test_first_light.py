@@ -9,7 +9,7 @@ import pytest
 from model_scenes import TICK_NS, frames, rig
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
-from twin_node.model.first_light import PATIENCE_S, FirstLight, is_blind
+from twin_node.model.first_light import PATIENCE_S, FirstLight, is_blind, once_lit
 from twin_node.model.quality import psnr, squared_error
 from twin_node.scene import FrameSet, View
 
@@ -61,6 +61,16 @@ def test_a_first_set_that_is_all_dark_is_taken_as_it_is() -> None:
     light, dark = FirstLight(), at(0, STILL, *(flat(view, 0) for view in STILL.views))
     assert light.begin(dark) is dark
     assert light.heed(at(1, dark)).views[0].valid is None
+
+
+def test_a_model_is_begun_with_the_first_set_that_shows_something() -> None:
+    views = STILL.views
+    dark = [at(index, STILL, *(flat(view, 0) for view in views)) for index in range(4)]
+    half_lit = at(2, STILL, flat(views[0], 0))
+    lit = at(3, STILL)
+    assert list(once_lit([dark[0], dark[1], half_lit, lit])) == [half_lit, lit]
+    assert list(once_lit([lit, dark[3]])) == [lit, dark[3]], "later darkness is part of the recording"
+    assert not list(once_lit(dark))
 
 
 @pytest.mark.parametrize("depth", [False, True])

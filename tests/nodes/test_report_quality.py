@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from twin_node.nodes.report.quality import First, Image, Renderings, clouds_against_images, render_cloud, score
+from twin_node.model import WindowModel
+from twin_node.nodes.report.quality import (
+    First,
+    Image,
+    Renderings,
+    clouds_against_images,
+    render_cloud,
+    score,
+    without,
+)
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.scene import PLAIN, Camera, Exposure, FrameSet, GaussianCloud, NodeStates, Tier, TwinState, View
 
@@ -41,7 +52,7 @@ def cloud(number: int) -> GaussianCloud:
 def tick(number: int, late: int | None = LATE, is_dropped: bool = False, *, light: Exposure = PLAIN) -> Tick:
     """A set of both cameras, followed by a cloud that is out `late` ns after it."""
     stamp = 10 * PERIOD + number * PERIOD
-    level = np.full((36, 48, 3), 10 * number, np.uint8)
+    level = np.full((36, 48, 3), 50 + 10 * number, np.uint8)
     views = tuple(View(camera, stamp - EARLIER[camera.name], level) for camera in (PROMPT, EARLY))
     frames = FrameSet(stamp, views)
     if is_dropped:
@@ -139,3 +150,44 @@ def test_what_lies_before_a_gap_is_neither_shown_nor_compared_with() -> None:
     assert sets == [0, 0, 1, 1, 3, 3, 4, 4, 5, 5], "nothing is known of a set that was dropped after a gap"
     assert [one.previous is None for one in shown] == [True, True, False, False, True, True, *[False] * 4]
     assert is_shown(shown[8].published, 3, shown[8].view, is_moved=False)
+
+
+def test_what_a_camera_shows_in_the_dark_is_held_against_nothing() -> None:
+    """Beside a black first image all that is there would be called moving, and nothing unchanged."""
+    begins = [tick(number) for number in range(3)]
+    views = begins[0].frames.views
+    black = replace(views[0], rgb=np.zeros_like(views[0].rgb))
+    begins[0] = replace(begins[0], frames=replace(begins[0].frames, views=(black, *views[1:])))
+    shown = against(begins)
+    assert [one.view.camera.name for one in shown] == ["early", "prompt", "early", "prompt", "early"]
+    assert np.array_equal(shown[1].first, shown[1].image) and shown[1].previous is None
+
+
+class Seen:
+    """A model that keeps what it is given, and has one state for all of it."""
+
+    def __init__(self) -> None:
+        self.sets: list[FrameSet] = []
+
+    def update(self, frames: FrameSet) -> TwinState:
+        self.sets.append(frames)
+        state = tick(0).state
+        assert state is not None
+        return replace(state, frames=frames)
+
+    def render_frozen(self, camera: Camera) -> SimpleNamespace:
+        return SimpleNamespace(rgb=frozen(camera))
+
+
+def test_a_model_without_a_camera_begins_when_the_others_show_something() -> None:
+    sets = [tick(number).frames for number in range(4)]
+
+    def dark(frames: FrameSet, *rows: int) -> FrameSet:
+        views = [replace(v, rgb=v.rgb * 0) if row in rows else v for row, v in enumerate(frames.views)]
+        return replace(frames, views=tuple(views))
+
+    model = Seen()
+    shown = list(without("early", [dark(sets[0], 0, 1), dark(sets[1], 1), *sets[2:]], cast(WindowModel, model)))
+    assert [one.stamp for one in model.sets] == [one.stamp for one in sets[1:]]
+    assert [one.set_stamp for one in shown] == [one.stamp for one in sets[2:]]
+    assert np.array_equal(shown[1].first, shown[0].image)

@@ -18,6 +18,7 @@ from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score, Truth
 from twin_node.forecast.score import litres_per_voxel
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
@@ -121,7 +122,7 @@ def run(
         grid = default_grid(source.workspace, parameters.chain.grid.voxel_size)
         truth = _truth_of(session, markers, colour)
         tally = None if colour is None else BodyTally(colour, round(parameters.latency_ms * 1e6))
-        states = _states(progress(source), make_model(parameters.chain).update, colour)
+        states = _states(once_lit(progress(source)), make_model(parameters.chain).update, colour)
         bench = score_states(states if tally is None else tally.watch(states), grid, truth, parameters)
         bench = replace(bench, body=None if tally is None else tally.score())
     if not bench.scores:

@@ -13,6 +13,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.track_runs import Followed, follow, follow_live, start, to_and_fro
 from twin_node.bench.track_scores import ForesightScore, LookingBack, TrackScores, score_foresight, score_renderings
 from twin_node.bench.visual_hull import HullScore, HullTally
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -136,7 +137,7 @@ def run(log: Path, parameters: TrackBenchParameters | None = None, progress: Pro
         source = LogSource(session, parameters.chain.synchronizer, parameters.chain.arm.arm().joint_names)
         hidden = _hidden(source, parameters.leave_out, log)
         if parameters.bounce:
-            bench = _bounce(list(source), parameters, log, progress)
+            bench = _bounce(list(once_lit(source)), parameters, log, progress)
         else:
             bench = _once(session, source, parameters, log, progress)
         hulls = {name: HullTally() for name in hidden}
@@ -158,7 +159,7 @@ def _once(
     expected_hz = session.expected_hz(parameters.chain.synchronizer.max_rate_hz)
     with Spool(session.span.start_ns, session.span.stop_ns, expected_hz) as spool:
         if parameters.rate is None:
-            for tick in follow(followed, source):
+            for tick in follow(followed, once_lit(source)):
                 progress((tick.stamp - session.span.start_ns) * 1e-9)
                 looking_back.add(tick, followed.model)
                 if spool.keeps(tick.stamp):

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from twin_node.model import WindowModel
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
@@ -138,7 +139,7 @@ def follow_live(
         published: list[int] = []
         working.subscribe(GAUSSIANS_MOVING, lambda _: published.append(clock.now()))
         bridge = Bridge(lambda frames: _keep(spool, Tick(frames)))
-        first = next(iter(LogSource(session, chain.synchronizer, names)), None)
+        first = next(once_lit(LogSource(session, chain.synchronizer, names)), None)
         if first is None:
             return
 

@@ -82,6 +82,7 @@ def _evenly(first: int, last: int, count: int) -> list[int]:
 
 def _bake_log(options: argparse.Namespace) -> Baked:
     """Follows a log in lockstep and keeps every state."""
+    from twin_node.model.first_light import once_lit
     from twin_node.model.sequence import bake_clouds
     from twin_node.nodes.chain import make_model
     from twin_node.nodes.chain_parameters import load_parameters
@@ -95,7 +96,7 @@ def _bake_log(options: argparse.Namespace) -> Baked:
         source = LogSource(session, chain.synchronizer, chain.arm.arm().joint_names)
 
         def states() -> Iterator[TwinState]:
-            for frames in tqdm(source, unit="set", desc="bake", disable=None):
+            for frames in tqdm(once_lit(source), unit="set", desc="bake", disable=None):
                 yield model.update(frames)
 
         return bake_clouds(states())

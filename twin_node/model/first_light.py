@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -70,6 +71,18 @@ class FirstLight:
     def _light(self, name: str) -> None:
         self._lit.add(name)
         self._since.pop(name, None)
+
+
+def once_lit(sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
+    """Sets, in rising order of stamps, from the first on in which some camera shows something.
+
+    For who makes a model of them: of one that begins in the dark all that comes later is in motion for good.
+    """
+    light, is_dark = FirstLight(), True
+    for frames in sets:
+        is_dark = is_dark and light.is_dark(frames)
+        if not is_dark:
+            yield frames
 
 
 def shows_something(view: View) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from twin_node import resources
 from twin_node.forecast import Forecaster, default_grid
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -70,7 +71,7 @@ def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], fl
     arm = chain.arm.arm()
     source = LogSource(session, chain.synchronizer, arm.joint_names)
     forecaster = Forecaster(default_grid(source.workspace, chain.grid.voxel_size), chain.forecast, arm)
-    spent = median_ms(islice(source, TRIED_SETS), make_model(chain), forecaster, clock)
+    spent = median_ms(islice(once_lit(source), TRIED_SETS), make_model(chain), forecaster, clock)
     if spent is None:
         raise GraphError(f"{session.log.path}: expected two sets of images to measure on, found less")
     return spent

@@ -15,6 +15,7 @@ from sequence_scenes import block_recording
 from twin_node.model import ModelError
 from twin_node.model.sequence import ColouredPoints, Recording, Span, recording_of, split
 from twin_node.model.sequence.recording import nearest
+from twin_node.scene import FrameSet
 
 
 def test_sets_come_back_as_they_went_in() -> None:
@@ -59,6 +60,23 @@ def test_points_that_are_none_are_refused(name: str, value: float) -> None:
     values[2, 1] = value
     with pytest.raises(ModelError, match=r"^block: expected points of finite positions and colours"):
         replace(block_recording(1), points=replace(points, **{name: values}))
+
+
+def test_images_that_show_nothing_yet_are_not_learnt() -> None:
+    """All cameras begin black, one of them later than the others."""
+    first, second, third = sliding(3, rig(40, 30))
+
+    def black(frames: FrameSet, count: int) -> FrameSet:
+        views = frames.views
+        return replace(frames, views=(*(replace(v, rgb=np.zeros_like(v.rgb)) for v in views[:count]), *views[count:]))
+
+    recording = recording_of("block", [black(first, 3), black(second, 1), third])
+    assert [(view.camera.name, view.stamp) for view in recording.train] == [
+        *((view.camera.name, second.stamp) for view in second.views[1:]),
+        *((view.camera.name, third.stamp) for view in third.views),
+    ]
+    with pytest.raises(ModelError, match=r"^block: expected sets of images that show something"):
+        recording_of("block", [black(first, 3)])
 
 
 def test_frames_are_counted_in_sets() -> None:

@@ -14,6 +14,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
 from twin_node.bench.pareto.suite import check_names
 from twin_node.bench.workers import workers
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, score
@@ -180,7 +181,7 @@ def _follow(job: _Job) -> Ablated:
         names = chain.arm.arm().joint_names
         source = LogSource(session, replace(chain.synchronizer, width=parameters.width), names)
         follower = Follower(chain, arm, source.workspace, truth)
-        ticks = follower.follow(islice(source, parameters.frames))
+        ticks = follower.follow(islice(once_lit(source), parameters.frames))
         quality = score(clouds_against_images(ticks, lambda camera: follower.model.render_frozen(camera).rgb))
     sets = len(follower.laps.model)
     if sets < 2:

@@ -11,6 +11,7 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import BASELINES, OURS, Follower, settled_ms
 from twin_node.forecast.comparison import Score
+from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
@@ -57,7 +58,7 @@ def foresee(job: ForesightJob) -> list[ForesightPoint]:
         arm = chain.arm.arm()
         source = LogSource(session, replace(chain.synchronizer, width=size.width), arm.joint_names)
         follower = Follower(chain, arm, source.workspace, VoxelTruth(session.log))
-        for _ in follower.follow(islice(source, job.frames)):
+        for _ in follower.follow(islice(once_lit(source), job.frames)):
             pass
     scores, laps = follower.scores, follower.laps
     if not scores:

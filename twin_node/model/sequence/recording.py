@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin_node.model.first_light import FirstLight, is_blind, once_lit
 from twin_node.model.parameters import ModelError
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Camera, Float32, Float64, FrameSet, View
@@ -123,13 +124,16 @@ def recording_of(
 ) -> Recording:
     """Sets of a log, a rig or a simulated cell; cameras `hold_out` are kept for scoring, `frames` sets taken.
 
+    Images that cameras began with, black or burnt out, are left out.
+
     Raises `ModelError` where a camera to hold out is not there, or nothing is left to train on.
     """
     views: list[View] = []
-    for count, one in enumerate(sets):
+    light = FirstLight()
+    for count, one in enumerate(once_lit(sets)):
         if count == frames:
             break
-        views += one.views
+        views += (view for view in light.heed(one).views if not is_blind(view))
     return split(Recording(name, in_order(views)) if views else _empty(name), hold_out)
 
 
@@ -170,7 +174,7 @@ def _is_float32(values: Float64 | Float32) -> bool:
 
 
 def _empty(name: str) -> Recording:
-    raise ModelError(f"{name}: expected sets of images, found none; check --start-offset, --duration and the topics")
+    raise ModelError(f"{name}: expected sets of images that show something, found none; check topics and light")
 
 
 def _listed(names: Sequence[str]) -> str:

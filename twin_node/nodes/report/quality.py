@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from twin_node.model import WindowModel
+from twin_node.model.first_light import FirstLight, is_blind, shows_something
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.model.rendering import Splats, render
 from twin_node.nodes.spool import Tick
@@ -106,23 +107,26 @@ def clouds_against_images(
 ) -> Iterator[Renderings]:
     """Every image beside the cloud that follows its set, whenever that was out, and the newest that was out by then.
 
-    A set that was not followed is shown the cloud before it. `firsts`, by camera, takes in those of cameras that it
-    lacks: whoever goes through the same images again hands it on.
+    A set that was not followed is shown the cloud before it; what a camera began with, black or burnt out, is left out.
+    `firsts`, by camera, takes in those of cameras that it lacks: who goes through the same images again hands it on.
     """
     firsts = {} if firsts is None else firsts
     previous: dict[str, Image] = {}
-    out = _Out()
+    light, out = FirstLight(), _Out()
     state: TwinState | None = None
     for tick in ticks:
+        lit = light.heed(tick.frames)
         if tick.is_after_gap:
             previous.clear()
             out, state = _Out(), None
         state = tick.state or state
         if state is None:
             continue
-        nothing = (None,) * len(tick.frames.views)
+        nothing = (None,) * len(lit.views)
         masks, arms = (tick.state.moving_masks, tick.state.robot_masks) if tick.state else (nothing, nothing)
-        for view, mask, arm in zip(tick.frames.views, masks, arms, strict=True):
+        for view, mask, arm in zip(lit.views, masks, arms, strict=True):
+            if is_blind(view):
+                continue
             name = view.camera.name
             image = unit(view)
             if name not in firsts:
@@ -238,7 +242,11 @@ def leave_one_out(
 
 
 def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator[Renderings]:
-    """A model that never sees camera `name` follows the others, and is shown from where that camera stands."""
+    """A model that never sees camera `name` follows the others, and is shown from where that camera stands.
+
+    Both begin with the first images that show something.
+    """
+    light, is_dark = FirstLight(), True
     first: Image | None = None
     still: Image | None = None
     previous: Image | None = None
@@ -247,8 +255,12 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         hidden = next((view for view in frames.views if view.camera.name == name), None)
         if not kept:
             continue
-        state = model.update(dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept))
-        if hidden is None:
+        seen = dataclasses.replace(frames, stamp=max(v.stamp for v in kept), views=kept)
+        is_dark = is_dark and light.is_dark(seen)
+        if is_dark:
+            continue
+        state = model.update(seen)
+        if hidden is None or (first is None and not shows_something(hidden)):
             continue
         image = unit(hidden)
         if first is None or still is None:
