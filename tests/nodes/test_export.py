@@ -14,7 +14,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import torch
 from plyfile import PlyData
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
@@ -23,7 +22,6 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
-from twin_node.model.sequence import Box, HexPlaneParameters, Recording, Trainer, TrainParameters, save_checkpoint
 from twin_node.nodes.export import ExportError, ExportSpan, LogSource, Moment, export
 from twin_node.nodes.export.clouds import write_spz
 from twin_node.nodes.playback import Playback
@@ -31,7 +29,7 @@ from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.snapshot import in_force
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
 from twin_node.robot import ArmModel, ur_model
-from twin_node.scene import Camera, GaussianCloud, Tier, View
+from twin_node.scene import Camera, GaussianCloud
 
 SH_C0 = 0.28209479177387814
 
@@ -356,42 +354,3 @@ def test_opacities_beyond_all_logits_are_those_of_solid_and_clear() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert cloud_from_stored(replace(stored, logits=logits)).opacities[:3].tolist() == [1, 0, 0]
-
-
-def test_a_trained_model_is_a_source_of_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its PLY is the model at that time, harmonics and all; it has no obstacles to offer."""
-    rng = np.random.default_rng(0)
-    stored = replace(stored_from_cloud(cloud_at(0, True)), sh=rng.normal(size=(50, 4, 3)).astype(np.float32))
-    view = View(Camera("left", 16, 12, np.diag([16.0, 16, 1]), np.eye(4)), 5, np.zeros((12, 16, 3), np.uint8))
-    box = Box(torch.zeros(3), torch.ones(3))
-    trainer = Trainer(Recording("made up", (view,)), TrainParameters(method="static", degree=1), stored, box)
-    save_checkpoint(trainer, tmp_path / "model.safetensors")
-    assert run(tmp_path / "model.safetensors", "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
-    read = read_ply(tmp_path / "a.ply")
-    for name, values in vars(stored).items():
-        assert np.allclose(getattr(read, name), values, atol=1e-4), name
-    assert run(tmp_path / "model.safetensors", "--to", "mjcf", "-o", tmp_path / "a.xml") == 2
-    assert "found Gaussians alone" in capsys.readouterr().err
-
-
-def test_a_trained_model_tells_how_fast_it_moves(tmp_path: Path) -> None:
-    """Velocities are those of its field, to both ends of what it knows; one without a field stands."""
-    box, cloud = Box(-torch.ones(3), torch.ones(3)), cloud_at(0, True)
-    camera = Camera("left", 16, 12, np.diag([16.0, 16, 1]), np.eye(4))
-    views = tuple(View(camera, k * 100_000_000, np.zeros((12, 16, 3), np.uint8)) for k in range(3))
-    for method in ("hexplane", "static"):
-        parameters = TrainParameters(method=method, degree=0, hexplane=HexPlaneParameters(resolution=4, levels=(1,)))
-        trainer = Trainer(Recording("made up", views), parameters, stored_from_cloud(cloud), box)
-        field = trainer.model.field
-        for values in () if field is None else field.parameters():
-            torch.nn.init.uniform_(values, generator=torch.Generator().manual_seed(0))
-        save_checkpoint(trainer, tmp_path / "model.safetensors")
-        given = ("--to", "npz", "--rate", 1000, "-o", tmp_path / f"{method}.npz")
-        assert run(tmp_path / "model.safetensors", *given) == 0
-    arrays, standing = np.load(tmp_path / "hexplane.npz"), np.load(tmp_path / "static.npz")
-    means, velocities = (arrays[name].reshape(-1, len(cloud.ids), 3) for name in ("means", "velocities"))
-    fastest = np.abs(velocities).max()
-    assert fastest > 0.1 and (arrays["tiers"] == Tier.DEFORMABLE).all()
-    assert np.allclose(velocities[50], (means[60] - means[40]) / 0.02, atol=1e-3 * fastest)
-    assert np.allclose(velocities[-1], (means[-1] - means[-11]) / 0.01, atol=1e-3 * fastest)
-    assert not standing["velocities"].any() and (standing["tiers"] == Tier.STATIC).all()

@@ -1,4 +1,4 @@
-"""`twin_node import`: foreign recordings and edited scenes become logs."""
+"""`twin_node import`: foreign recordings, edited scenes and trained models become logs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin_node.cli.progress import counted
 
 def add_import(commands: Any) -> None:
     """Adds `import` to the subcommands."""
-    importers = commands.add_parser("import", help="turn foreign recordings and edited scenes into logs")
+    importers = commands.add_parser("import", help="turn foreign recordings, edited scenes and models into logs")
     kinds = importers.add_subparsers(required=True, metavar="KIND")
     video = kinds.add_parser("video", help="calibrated videos, as a rig file names them")
     video.add_argument("rig", type=Path, metavar="RIG.yaml", help="rig file: calibration/README.md documents it")
@@ -22,6 +22,10 @@ def add_import(commands: Any) -> None:
     ply.add_argument("scene", type=Path, metavar="SCENE.ply", help="Gaussians in the 3DGS layout")
     ply.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
     ply.set_defaults(run=_import_ply)
+    model = kinds.add_parser("model", help="what twin_node train or bake has written, at each of its times")
+    model.add_argument("model", type=Path, metavar="MODEL.safetensors", help="checkpoint or baked model")
+    model.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
+    model.set_defaults(run=_import_model)
 
 
 def _import_video(options: argparse.Namespace) -> None:
@@ -45,3 +49,10 @@ def _import_ply(options: argparse.Namespace) -> None:
     from twin_node.nodes.export.scene_log import import_ply
 
     print(f"{options.output}: {import_ply(options.scene, options.output)} Gaussians")
+
+
+def _import_model(options: argparse.Namespace) -> None:
+    from twin_node.nodes.export.scene_log import import_model
+
+    count = import_model(options.model, options.output)
+    print(f"{options.output}: {count} moment{'s' if count > 1 else ''}")

@@ -1,6 +1,6 @@
 """Whole sequences: readers, fields and training of 4DGS as published, checkpoints, and playback without the field."""
 
-from twin_node.model.sequence.baking import Baked, bake_clouds, bake_model, check_size, load_baked, save_baked
+from twin_node.model.sequence.baking import Baked, bake_clouds, bake_model, check_size, is_baked, load_baked, save_baked
 from twin_node.model.sequence.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from twin_node.model.sequence.field import Box, SequenceField, SequenceMotion
 from twin_node.model.sequence.hash_mlp import HashParameters, SequenceHashMlp
@@ -36,6 +36,7 @@ __all__ = [
     "bake_clouds",
     "bake_model",
     "check_size",
+    "is_baked",
     "load_baked",
     "load_checkpoint",
     "read_folder",

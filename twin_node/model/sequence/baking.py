@@ -229,6 +229,11 @@ def save_baked(baked: Baked, path: Path) -> None:
     write_tensors({name: getattr(baked, name) for name in names}, metadata, path)
 
 
+def is_baked(path: Path) -> bool:
+    """Whether a file is what `save_baked` wrote. Raises `ModelError` for one that holds no tensors."""
+    return read_tensors(path).metadata.get("format") == FORMAT
+
+
 def load_baked(path: Path) -> Baked:
     """Reads what `save_baked` wrote. Raises `ModelError` for any other file."""
     file = read_tensors(path)

@@ -28,7 +28,10 @@ class CheckpointSource:
     def __init__(self, path: Path) -> None:
         """Raises `ModelError` for a file that is no checkpoint."""
         self._path = path
-        self._model = load_checkpoint(path).model
+        checkpoint = load_checkpoint(path)
+        self._model = checkpoint.model
+        self.steps = checkpoint.header.steps
+        """Sets of images that it was trained on."""
         self.start_ns, self.end_ns = self._model.span.first, self._model.span.last
 
     def require(self, topic: str, purpose: str) -> None:

@@ -1,7 +1,8 @@
-"""A scene edited elsewhere, back as a log that viewer, films and exports read."""
+"""Gaussians of files, as logs that viewer, films and exports read: a scene edited elsewhere, a model over its time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,10 @@ from twin_node.bag import LogWriter
 from twin_node.messages import convert
 from twin_node.model.parameters import ModelError
 from twin_node.model.ply import cloud_from_stored, read_ply
+from twin_node.model.sequence import is_baked, load_baked
+from twin_node.nodes.export.checkpoint import CheckpointSource
 from twin_node.nodes.topics import GAUSSIANS
+from twin_node.scene import GaussianCloud
 
 
 def import_ply(path: Path, output: Path, stamp: int = 0) -> int:
@@ -20,10 +24,44 @@ def import_ply(path: Path, output: Path, stamp: int = 0) -> int:
     `ModelError` for Gaussians that are nowhere, or of no size, shape or colour.
     """
     cloud = cloud_from_stored(read_ply(path))
+    _require_finite(cloud, path)
+    with LogWriter(output) as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
+    return len(cloud.means)
+
+
+def import_model(path: Path, output: Path) -> int:
+    """Writes a checkpoint of `twin_node train`, as many moments as it saw sets, evenly, or all of what `bake` made.
+
+    Each is one latched `/twin/gaussians` with the time's stamp, in colours of all sides in 8 bits; returns how many.
+    Raises as `import_ply` does.
+    """
+    count = 0
+    with LogWriter(output) as log:
+        for stamp, cloud in _baked_clouds(path) if is_baked(path) else _trained_clouds(path):
+            _require_finite(cloud, path)
+            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
+            count += 1
+    return count
+
+
+def _baked_clouds(path: Path) -> Iterator[tuple[int, GaussianCloud]]:
+    baked = load_baked(path)
+    for step, stamp in enumerate(baked.stamps):
+        yield stamp, cloud_from_stored(baked.stored(step))
+
+
+def _trained_clouds(path: Path) -> Iterator[tuple[int, GaussianCloud]]:
+    source = CheckpointSource(path)
+    stamps = np.unique(np.linspace(source.start_ns, source.end_ns, source.steps).round().astype(np.int64)).tolist()
+    for moment in source.moments(stamps, None, with_clouds=True):
+        assert moment.cloud is not None
+        yield moment.stamp, moment.cloud
+
+
+def _require_finite(cloud: GaussianCloud, path: Path) -> None:
+    """Raises `ModelError` for Gaussians that no reader of a log would take."""
     finite = np.isfinite(np.column_stack([cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.rgb])).all(1)
     if not finite.all():
         bad = f"{np.sum(~finite)} of {len(cloud.means)} Gaussians, the first at {int(finite.argmin())}"
         raise ModelError(f"{path}: expected finite numbers, found others in {bad}; take them out where it was made")
-    with LogWriter(output) as log:
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
-    return len(cloud.means)
