@@ -13,7 +13,7 @@ from model_scenes import camera, rig, sliding
 from sequence_scenes import block_recording
 
 from twin_node.model import ModelError
-from twin_node.model.sequence import ColouredPoints, Recording, Span, recording_of, split
+from twin_node.model.sequence import ColouredPoints, Recording, Span, recording, recording_of, split
 from twin_node.model.sequence.recording import nearest
 from twin_node.scene import FrameSet
 
@@ -77,6 +77,14 @@ def test_images_that_show_nothing_yet_are_not_learnt() -> None:
     ]
     with pytest.raises(ModelError, match=r"^block: expected sets of images that show something"):
         recording_of("block", [black(first, 3)])
+
+
+def test_more_images_than_memory_holds_are_refused_while_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    sets = iter(sliding(9, rig(40, 30)))
+    monkeypatch.setattr(recording, "MOST_BYTES", 2.5 * 3 * 40 * 30 * 3)
+    with pytest.raises(ModelError, match=r"^long: expected images .* more in the first 3 sets; .*--frames"):
+        recording_of("long", sets)
+    assert len(list(sets)) == 6
 
 
 def test_frames_are_counted_in_sets() -> None:

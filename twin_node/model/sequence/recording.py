@@ -21,6 +21,9 @@ ONE_PLACE = 1e-3
 COARSEST = 1e-4
 """How far apart places may be that float32 tells apart, as a share of what cameras look over: a tenth of a pixel."""
 
+MOST_BYTES = 8 * 2**30
+"""Of a log's images, all of which are held as long as something is learnt of them."""
+
 
 @dataclass(frozen=True)
 class ColouredPoints:
@@ -126,14 +129,23 @@ def recording_of(
 
     Images that cameras began with, black or burnt out, are left out.
 
-    Raises `ModelError` where a camera to hold out is not there, or nothing is left to train on.
+    Raises `ModelError` where a camera to hold out is not there, nothing is left to train on, or as soon as images are
+    more than `MOST_BYTES`.
     """
     views: list[View] = []
+    size = 0
     light = FirstLight()
     for count, one in enumerate(once_lit(sets)):
         if count == frames:
             break
-        views += (view for view in light.heed(one).views if not is_blind(view))
+        kept = [view for view in light.heed(one).views if not is_blind(view)]
+        views += kept
+        size += sum(view.rgb.nbytes + (0 if view.depth is None else view.depth.nbytes) for view in kept)
+        if size > MOST_BYTES:
+            raise ModelError(
+                f"{name}: expected images of at most {MOST_BYTES / 2**30:g} GiB, found more in the first {count + 1} "
+                "sets; take fewer with --frames, or smaller ones with --width"
+            )
     return split(Recording(name, in_order(views)) if views else _empty(name), hold_out)
 
 
