@@ -98,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     from twin_node.cli.bench import add_bench
     from twin_node.cli.calibrate import add_calibrate
     from twin_node.cli.doctor import add_doctor
+    from twin_node.cli.edit import add_edit
     from twin_node.cli.export import add_export
     from twin_node.cli.imports import add_import
     from twin_node.cli.launch import add_launch
@@ -132,4 +133,5 @@ def _parser() -> argparse.ArgumentParser:
     add_sim(commands)
     add_train(commands)
     add_bake(commands)
+    add_edit(commands)
     return parser

@@ -88,6 +88,11 @@ def not_negative(text: str) -> float:
     return value
 
 
+def finite(text: str) -> float:
+    """Any number."""
+    return _number(text)
+
+
 def whole(text: str) -> int:
     """A whole number of 1 or more."""
     value = _number(text)

@@ -1,7 +1,8 @@
 """Whole sequences: readers, fields and training of 4DGS as published, checkpoints, and playback without the field."""
 
 from twin_node.model.sequence.baking import Baked, bake_clouds, bake_model, check_size, is_baked, load_baked, save_baked
-from twin_node.model.sequence.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from twin_node.model.sequence.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, write_checkpoint
+from twin_node.model.sequence.editing import Edit, edited
 from twin_node.model.sequence.field import Box, SequenceField, SequenceMotion
 from twin_node.model.sequence.hash_mlp import HashParameters, SequenceHashMlp
 from twin_node.model.sequence.hex_plane import HexPlaneParameters, SequenceHexPlane
@@ -20,6 +21,7 @@ __all__ = [
     "Checkpoint",
     "ColouredPoints",
     "DensifyParameters",
+    "Edit",
     "HashParameters",
     "HexPlaneParameters",
     "RateParameters",
@@ -36,6 +38,7 @@ __all__ = [
     "bake_clouds",
     "bake_model",
     "check_size",
+    "edited",
     "is_baked",
     "load_baked",
     "load_checkpoint",
@@ -44,4 +47,5 @@ __all__ = [
     "save_baked",
     "save_checkpoint",
     "split",
+    "write_checkpoint",
 ]

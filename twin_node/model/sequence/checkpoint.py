@@ -32,6 +32,8 @@ from twin_node.scene import Camera
 
 FORMAT = "twin_node sequence"
 VERSION = 1
+HOMES = "edit.homes"
+"""`SequenceModel.homes`, the mark of a checkpoint that was edited."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Checkpoint:
         if isinstance(field, nn.Module):
             _load_field(field, self._part("field."))
         gaussians = CanonicalGaussians(self.stored, header.parameters.rates, 1.0, torch.device("cpu"))
-        return SequenceModel(gaussians, field, header.span, header.background)
+        return SequenceModel(gaussians, field, header.span, header.background, self.tensors.get(HOMES))
 
     @property
     def is_whole(self) -> bool:
@@ -81,6 +83,7 @@ class Checkpoint:
         needed |= {"gradients.sums": (count,), "gradients.counts": (count,), "box.lower": (3,), "box.upper": (3,)}
         moments = {f"adam.{name}.{moment}": shape for name, shape in learnt.items() for moment in MOMENTS}
         needed |= {name: shape for name, shape in moments.items() if name in self.tensors}  # none before the first step
+        needed |= {HOMES: (count, 3)} if HOMES in self.tensors else {}
         if any(name not in self.tensors or self.tensors[name].shape != shape for name, shape in needed.items()):
             return False
         field = make_field(self.box, self.header.steps, self.header.parameters)
@@ -101,9 +104,12 @@ class Checkpoint:
     def resume(self, recording: Recording, steps: int | None = None, device: str | None = None) -> Trainer:
         """The trainer as it was when it was saved; with `steps` and on the `device` in place of the checkpoint's own.
 
-        Raises `ModelError` where the recording is not the one that was trained on, and for a device that is not there.
+        Raises `ModelError` where the recording is not the one that was trained on, for a device that is not there, and
+        for a checkpoint that was edited: its images do not show what it does.
         """
         header = self.header
+        if HOMES in self.tensors:
+            raise ModelError(f"{self.path}: was edited; go on from the checkpoint that it was made of, and edit again")
         found = tuple(sorted({view.stamp for view in recording.train}))
         if len(recording.train) != header.images or found != header.stamps:
             raise ModelError(
@@ -121,10 +127,10 @@ class Checkpoint:
         trainer = Trainer(recording, parameters, self.stored, self.box)
         trainer.step = header.step
         trainer.model.gaussians.restore(self._part("adam."))
-        device = trainer.model.gaussians.means.device
-        trainer.gradients = PositionGradients(len(trainer.model.gaussians), device)
-        trainer.gradients.sums += self.tensors["gradients.sums"].to(device)
-        trainer.gradients.counts += self.tensors["gradients.counts"].to(device)
+        there = trainer.model.gaussians.means.device
+        trainer.gradients = PositionGradients(len(trainer.model.gaussians), there)
+        trainer.gradients.sums += self.tensors["gradients.sums"].to(there)
+        trainer.gradients.counts += self.tensors["gradients.counts"].to(there)
         if isinstance(trainer.model.field, nn.Module) and trainer.field_optimizer is not None:
             _load_field(trainer.model.field, self._part("field."))
             _restore_adam(trainer.field_optimizer, self._part("field_adam."))
@@ -167,17 +173,30 @@ def save_checkpoint(trainer: Trainer, path: Path) -> None:
     if trainer.field_optimizer is not None:
         for index, state in trainer.field_optimizer.state_dict()["state"].items():
             tensors |= {f"field_adam.{index}.{name}": value for name, value in state.items()}
-    header = {
-        "parameters": dataclasses.asdict(trainer.parameters),
-        "step": trainer.step,
-        "span": [model.span.first, model.span.last],
-        "stamps": sorted({view.stamp for view in recording.train}),
-        "steps": recording.steps,
-        "background": list(recording.background),
-        "cameras": [camera_record(camera) for camera in recording.cameras],
-        "images": len(recording.train),
+    stamps = tuple(sorted({view.stamp for view in recording.train}))
+    header = CheckpointHeader(
+        trainer.parameters,
+        trainer.step,
+        model.span,
+        stamps,
+        recording.steps,
+        recording.background,
+        recording.cameras,
+        len(recording.train),
+    )
+    write_checkpoint(Checkpoint(path, header, tensors))
+
+
+def write_checkpoint(checkpoint: Checkpoint) -> None:
+    """Writes a checkpoint to its path, whole or not at all. Raises `ModelError` where it cannot be written."""
+    header = checkpoint.header
+    record = vars(header) | {
+        "parameters": dataclasses.asdict(header.parameters),
+        "span": [header.span.first, header.span.last],
+        "cameras": [camera_record(camera) for camera in header.cameras],
     }
-    write_tensors(tensors, {"format": FORMAT, "version": str(VERSION), "header": json.dumps(header)}, path)
+    metadata = {"format": FORMAT, "version": str(VERSION), "header": json.dumps(record)}
+    write_tensors(checkpoint.tensors, metadata, checkpoint.path)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

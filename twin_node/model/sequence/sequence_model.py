@@ -72,6 +72,9 @@ class SequenceModel:
     span: Span
     background: tuple[float, float, float]
     """Red, green, blue, 0 to 1, where nothing is."""
+    homes: Tensor | None = None
+    """[N, 3] m, where the field is asked for each Gaussian's motion, of a model in which some were moved by hand; None:
+    where they are."""
 
     @property
     def parameters_count(self) -> int:
@@ -88,7 +91,8 @@ class SequenceModel:
             means, quats = g.means.expand(len(stamps), -1, -1), g.quats.expand(len(stamps), -1, -1)
             unit = torch.nn.functional.normalize(quats, dim=-1)
             return MovedGaussians(means, unit, log_scales.exp(), opacities, g.sh)
-        motion = self.field.motion(g.means, self.span.times(stamps).to(g.means.device))
+        homes = g.means if self.homes is None else self.homes
+        motion = self.field.motion(homes, self.span.times(stamps).to(g.means.device))
         quats = moved_quats(g.quats, motion.turns)
         return MovedGaussians(g.means + motion.offsets, quats, (log_scales + motion.growths).exp(), opacities, g.sh)
 
