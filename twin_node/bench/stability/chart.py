@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twin_node.bench.results_folder import save_chart
+from twin_node.bench.stability.case import BASELINES
 from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.pictures import OURS
-from twin_node.bench.stability.suite import METHODS, Stability
+from twin_node.bench.stability.suite import OUR_PICTURES, Stability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,23 +20,23 @@ TITLES = {
     "worst_case": "worst case (1.6 m/s)",
     "constant_velocity": "constant velocity",
     "persistence": "persistence",
+    OUR_PICTURES: "picture: ours",
     "frozen_first_frame": "picture: first image for ever",
     "previous_image": "picture: previous image",
 }
 """In the order of the chart, and with the colours below."""
-COLOURS = ("#c0392b", "#7f8c8d", "#2980b9", "#4a235a", "#d4a017", "#7fd6a0")
+COLOURS = ("#c0392b", "#7f8c8d", "#2980b9", "#4a235a", "#641e16", "#d4a017", "#7fd6a0")
 NEVER = "-"
 
 
 def text(found: Stability) -> str:
     """The table as lines."""
-    names = [name for name in TITLES if name in METHODS]
-    lines = [f"{'gives way at':34}" + "".join(f"{name:>20}" for name in names)]
+    lines = [f"{'gives way at':34}" + "".join(f"{name:>20}" for name in TITLES)]
     for failure in found.failures:
-        cells = [_cell(found.gives_way(name, failure)) for name in names]
+        cells = [_cell(found.gives_way(name, failure)) for name in TITLES]
         title = f"{FAILURES[failure].title} [{FAILURES[failure].unit}]"
         lines.append(f"{title:34}" + "".join(f"{cell:>20}" for cell in cells))
-    lines.append(f"{'silent failures':34}" + "".join(f"{found.silent_failures(name):>20}" for name in names))
+    lines.append(f"{'silent failures':34}" + "".join(f"{_silent(found, name):>20}" for name in TITLES))
     share = found.warning_share(OURS)
     if share is not None:
         lines.append(f"warnings of ours while nothing is wrong: {100 * share:.2f} % of the time")
@@ -47,18 +48,17 @@ def text(found: Stability) -> str:
 
 def markdown(found: Stability) -> str:
     """The table of levels at which each method gives way, as Markdown."""
-    names = [name for name in TITLES if name in METHODS]
     lines = [
-        "| failure, levels tried | " + " | ".join(TITLES[name] for name in names) + " | litres, ours / worst case |",
-        "|" + " --- |" * (len(names) + 2),
+        "| failure, levels tried | " + " | ".join(TITLES.values()) + " | litres, ours / worst case |",
+        "|" + " --- |" * (len(TITLES) + 2),
     ]
     for failure, levels in found.failures.items():
         one = FAILURES[failure]
         tried = ", ".join(f"{level.level:g}" for level in levels)
-        cells = [_cell(found.gives_way(name, failure)) for name in names]
+        cells = [_cell(found.gives_way(name, failure)) for name in TITLES]
         cells.append(_blocked(found, failure))
         lines.append(f"| {one.title}: {tried} {one.unit} | " + " | ".join(cells) + " |")
-    lines.append("| silent failures | " + " | ".join(str(found.silent_failures(name)) for name in names) + " | |")
+    lines.append("| silent failures | " + " | ".join(_silent(found, name) for name in TITLES) + " | |")
     return "\n".join(lines) + "\n"
 
 
@@ -121,6 +121,11 @@ def _blocked(found: Stability, failure: str) -> str:
     """Litres that ours and the worst case block, mean over the levels."""
     litres = (found.blocked_l(name, failure) for name in (OURS, "worst_case"))
     return " / ".join("-" if value is None else f"{value:.0f}" for value in litres)
+
+
+def _silent(found: Stability, name: str) -> str:
+    """Silent failures of a method that forecasts; pictures promise nothing."""
+    return str(found.silent_failures(name)) if name == OURS or name in BASELINES else ""
 
 
 def _cell(level: float | None) -> str:

@@ -20,6 +20,8 @@ from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
 LEAST_PICTURE_DB = 15.0
 """A picture below this on the pixels that changed shows nothing of use: the first image for ever reaches 13 dB here."""
 METHODS = (OURS, *BASELINES, *PICTURES)
+OUR_PICTURES = "our_pictures"
+"""Those of `OURS`, beside its forecasts, where methods are named that give way."""
 
 Progress = Callable[[Iterable[CaseResult], int], Iterable[CaseResult]]
 """May wrap the results as they come; told how many there will be."""
@@ -100,8 +102,10 @@ class Stability:
     def gives_way(self, method: str, failure: str) -> float | None:
         """The first level at which a method's forecasts, over all runs, recall less than `LEAST_RECALL`.
 
-        Of a method that makes pictures alone, the first level at which these give way; None where nothing does.
+        Of a method that makes pictures alone, and of `OUR_PICTURES`, the first at which these give way. None: never.
         """
+        if method == OUR_PICTURES:
+            return self.pictures_give_way(OURS, failure)
         if method in PICTURES:
             return self.pictures_give_way(method, failure)
         recalls = ((one.level, one.methods[method].recall) for one in self.failures[failure])
