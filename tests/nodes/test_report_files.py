@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -12,14 +14,16 @@ from twin_node.forecast import ForecastQuality
 from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
+from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
-from twin_node.nodes.report.page import ReportError, _write
+from twin_node.nodes.report.page import ReportError, _lead, _write
 from twin_node.nodes.report.quality import Quality
+from twin_node.nodes.spool import Spool, Tick
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Separation
+from twin_node.scene import FrameSet, Separation
 
 
 def short_run() -> Run:
@@ -42,6 +46,17 @@ def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:
     assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown <= set(figures["reasons"])
     assert figures["forecast"]["coverage_target"] == 0.99
     assert "near" in figures["reasons"]["arm.min_distance_m"]
+
+
+@pytest.mark.parametrize(("seconds", "is_told"), [(10, False), (3600, True)])
+def test_a_page_says_how_much_of_a_long_run_was_scored(seconds: int, is_told: bool) -> None:
+    session = SimpleNamespace(span=SimpleNamespace(seconds=float(seconds)), rig=SimpleNamespace(cameras=()))
+    with Spool(0, seconds * 1_000_000_000, 30.0) as spool:
+        spool.add(Tick(FrameSet(stamp=0, views=(), sequence=0)))
+        run = replace(short_run(), spool=spool)
+        assert figures_of(run, Quality(), {}, Foresight())["scored"] == 1
+        lead = _lead(cast(LogSession, session), run)
+    assert ("scored on 1 sets, in blocks of a second" in lead) is is_told
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])

@@ -38,12 +38,13 @@ def test_images_come_back_as_they_were() -> None:
 
 def test_a_short_run_is_kept_whole() -> None:
     with Spool(5, 5 + 14 * SECOND, 30) as spool:
-        assert all(spool.keeps(5 + i * SECOND // 30) for i in range(14 * 30))
+        assert spool.keeps_all and all(spool.keeps(5 + i * SECOND // 30) for i in range(14 * 30))
 
 
 def test_an_hour_is_kept_in_whole_seconds_spread_over_it() -> None:
     with Spool(0, 3600 * SECOND, 30) as spool:
         kept = [i for i in range(3600 * 30) if spool.keeps(i * SECOND // 30)]
+        assert not spool.keeps_all
     assert MAX_SETS * 0.9 <= len(kept) <= MAX_SETS * 1.1
     assert kept[:30] == list(range(30))
     assert kept[-1] > 3400 * 30

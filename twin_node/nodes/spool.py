@@ -73,6 +73,11 @@ class Spool:
         self._settle()
         return len(self._places)
 
+    @property
+    def keeps_all(self) -> bool:
+        """Whether the run is short enough for every set of it to be kept."""
+        return self._period_ns <= BLOCK_NS
+
     def keeps(self, stamp: int) -> bool:
         """Whether a set with this stamp is among those kept."""
         return (stamp - self._start_ns) % self._period_ns < BLOCK_NS

@@ -27,6 +27,7 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "sets": run.sets,
         "followed": run.followed,
         "dropped": run.dropped,
+        "scored": None if run.spool is None else len(run.spool),
         "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
         "latency_ms": _percentiles(latencies),
         "work_ms": _percentiles(collector.work_ms),

@@ -124,10 +124,13 @@ def _lead(session: LogSession, run: Run) -> str:
     pace = "in lockstep" if run.is_lockstep else "in real time"
     if run.rate is not None and run.rate != 1:
         pace += f" at {run.rate:g} times the log's pace"
-    return (
+    lead = (
         f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
         f"whose model followed {run.followed} of them; {run.dropped} were dropped because a newer one was there."
     )
+    if run.spool is not None and not run.spool.keeps_all:
+        lead += f" Pictures and forecasts are scored on {len(run.spool)} sets, in blocks of a second all over the run."
+    return lead
 
 
 def _changes(cameras: Mapping[str, Any]) -> list[str]:
