@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from twin_node.bench.methods import playback
-from twin_node.cli import main
+from twin_node.cli import main, train
 from twin_node.model.sequence import Baked, SequenceModel, Trainer, bake_model, load_baked, load_checkpoint
 from twin_node.scene import Camera
 
@@ -102,6 +102,24 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
     assert whole.keys() == mended.keys()
     for name, value in whole.items():
         np.testing.assert_array_equal(value.numpy(), mended[name].numpy(), name)
+
+
+def test_a_run_that_is_cut_off_has_left_a_checkpoint(
+    cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    follow = Trainer._apply
+
+    def cut_off(trainer: Trainer) -> None:
+        if trainer.step == 2:
+            raise MemoryError
+        follow(trainer)
+
+    monkeypatch.setattr(Trainer, "_apply", cut_off)
+    monkeypatch.setattr(train, "SAVE_EVERY_S", 0.0)
+    out = tmp_path / "model.safetensors"
+    with pytest.raises(MemoryError):
+        main(["train", str(cell_log(0.5)), "-o", str(out), "--width", "48", "--steps", "4", "--gaussians", "800"])
+    assert load_checkpoint(out).header.step == 2
 
 
 def test_a_log_is_followed_and_baked(cell_log: Callable[..., Path], tmp_path: Path) -> None:
