@@ -282,7 +282,6 @@ class WindowModel:
 
     def _begin(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> tuple[_Begun, Levelled]:
         """The model of the first set, and the set in the light that the model has."""
-        torch.manual_seed(self._seed)
         seeds = self._seeded(frames, robots)
         levelled = self._exposures.begin(frames, seeds.exposures)
         fit_all(self._gaussians, levelled.frames.views, self.parameters.seed.steps)
