@@ -57,10 +57,11 @@ def add_arm(parser: argparse.ArgumentParser) -> None:
 def arm_of(options: argparse.Namespace) -> ArmParameters:
     """The arm that `add_arm`'s options name. Raises `TwinError` for both of them, and for a wrong parameter file."""
     from twin_node.nodes.arm_parameters import ArmParameters
-    from twin_node.nodes.chain_parameters import load_parameters
 
     if options.params is None:
         return ArmParameters(model=options.arm or DEFAULT_ARM)
+    from twin_node.nodes.chain_parameters import load_parameters
+
     refuse_given(options, ("arm",), "expected without --params, whose section 'arm' names it; leave one of them out")
     return load_parameters(options.params).arm
 
