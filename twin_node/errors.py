@@ -28,6 +28,10 @@ class TwinError(Exception):
     """
 
 
+class TwinWarning(UserWarning):
+    """Something that a user must know, in one line, of work that goes on all the same; the command line prints it."""
+
+
 def reason(error: Exception) -> str:
     """Why a file could not be read, in one line, without Python's numbers and names."""
     if isinstance(error, UnicodeDecodeError):

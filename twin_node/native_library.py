@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node import native_build
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, TwinWarning
 
 
 class NativeLibrary:
@@ -129,7 +129,7 @@ def best_or_none(load: Callable[[str], Loaded], without: str) -> Loaded | None:
     try:
         return load(native_build.supported_variants()[0])
     except (native_build.CompileError, OSError) as error:
-        warnings.warn(f"{without}: {error}", stacklevel=3)
+        warnings.warn(f"{without}: {error}", TwinWarning, stacklevel=3)
         return None
 
 

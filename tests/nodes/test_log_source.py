@@ -12,6 +12,8 @@ from twin_logs import with_gripper
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.cell.scenario import Fault
+from twin_node.cli import main
+from twin_node.errors import TwinWarning
 from twin_node.messages import convert, header_stamp
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -83,6 +85,21 @@ def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., 
         sets = list(LogSource(session, SynchronizerParameters(width=80), names))
     assert len(sets) >= 5
     assert all(frames.joints is not None and frames.joints.names == names for frames in sets)
+
+
+def test_who_makes_something_of_a_part_of_a_log_is_told(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a recorder that was killed; the command that makes it says so in a line."""
+    whole = cell_log(0.5).read_bytes()
+    log = tmp_path / "cut.mcap"
+    log.write_bytes(whole[: len(whole) * 2 // 3])
+    with LogSession(log) as session, pytest.warns(TwinWarning, match=r"cut\.mcap: "):
+        assert list(LogSource(session, SynchronizerParameters(48)))
+    out = ["-o", str(tmp_path / "model.safetensors"), "--steps", "1", "--width", "48", "--gaussians", "100"]
+    assert main(["train", str(log), *out]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
+    assert line.startswith(f"twin_node: warning: {log}: ")
 
 
 def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -8,12 +8,16 @@ import io
 import os
 import select
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
 
 from twin_node import __version__
 from twin_node.cli.ending import Terminated, ended_in_order
 from twin_node.cli.parser import Parser, with_home
 from twin_node.collecting import collect_rarely
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, TwinWarning
 
 _UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
 """Why nobody can tell whether there is something at a path, which is then asked for anywhere."""
@@ -32,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what the terminal has no letter for
     try:
-        with ended_in_order():
+        with ended_in_order(), _warnings_in_words():
             options = with_home(_parser().parse_args(arguments))
             status = options.run(options)
             sys.stdout.flush()
@@ -59,6 +63,29 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"twin_node: error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
         return 2
     return status if isinstance(status, int) else 0
+
+
+@contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """A `TwinWarning` is told in one line, as errors are; all others are told as Python does."""
+    told = warnings.showwarning
+
+    def tell(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, TwinWarning):
+            print(f"twin_node: warning: {message}", file=sys.stderr)
+        else:
+            told(message, category, filename, lineno, file, line)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = tell
+        yield
 
 
 def _replace_closed() -> None:

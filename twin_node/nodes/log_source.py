@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from twin_node.bag import LogReader, open_log
+from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
@@ -94,7 +96,10 @@ class LogSource:
         return workspace_for(self._session.rig, self._cameras)
 
     def __iter__(self) -> Iterator[FrameSet]:
-        """Sets in rising order of stamps, from the beginning of the session's span."""
+        """Sets in rising order of stamps, from the beginning of the session's span.
+
+        Warns, with a `TwinWarning`, where damage has ended them: what is made of them is made of a part.
+        """
         bus, clock = LocalBus(), SteppedClock()
         self._synchronizer(bus, clock).configure()
         ready: list[FrameSet] = []
@@ -102,6 +107,8 @@ class LogSource:
         for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             yield from ready
             ready.clear()
+        if self._session.log.damage is not None:
+            warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
 
     def _synchronizer(self, bus: LocalBus, clock: SteppedClock) -> SynchronizerNode:
         session = self._session
