@@ -15,9 +15,11 @@ from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.errors import TwinWarning
 from twin_node.messages import convert, header_stamp
+from twin_node.model.sequence import ReadOptions
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.playback import Playback
+from twin_node.nodes.recordings import read_recording
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.robot import ur_model
@@ -85,6 +87,15 @@ def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., 
         sets = list(LogSource(session, SynchronizerParameters(width=80), names))
     assert len(sets) >= 5
     assert all(frames.joints is not None and frames.joints.names == names for frames in sets)
+
+
+def test_a_recording_is_no_wider_than_its_images(cell_log: Callable[..., Path]) -> None:
+    """To learn of pixels that were made up between two takes four times as long and shows no more."""
+    with LogSession(cell_log(0.3)) as session:
+        own = max(camera.width for camera in session.rig.cameras)
+    for asked, found in ((2 * own, own), (own // 4, own // 4)):
+        read = read_recording(cell_log(0.3), ReadOptions(asked, 1), SynchronizerParameters(width=asked))
+        assert {view.camera.width for view in read.train} == {found}
 
 
 def test_who_makes_something_of_a_part_of_a_log_is_told(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from twin_node.model import ModelError
@@ -25,7 +26,8 @@ def read_recording(
     rig: Path | None = None,
     remaps: Mapping[str, str] | None = None,
 ) -> Recording:
-    """All images of a log or a folder; `parameters`, the rig file `rig` and `remaps` of topics are for logs alone.
+    """All images of a log or a folder, no wider than their own; `parameters`, the rig file `rig` and `remaps` of topics
+    are for logs alone.
 
     Raises `ModelError` for a folder of no known layout, data that is incomplete, a rig file or remaps beside a folder,
     and a log's own errors.
@@ -37,5 +39,6 @@ def read_recording(
             raise ModelError(f"--remap: expected with a log; {path} is a data set, which has no topics")
         return read_folder(path, options)
     with LogSession(path, rig, remaps) as session:
-        source = LogSource(session, parameters or SynchronizerParameters())
+        chosen, widest = parameters or SynchronizerParameters(), max(camera.width for camera in session.rig.cameras)
+        source = LogSource(session, replace(chosen, width=min(chosen.width or widest, widest)))
         return recording_of(str(path), source, options.hold_out or (), options.frames)
