@@ -13,6 +13,7 @@ from twin_node.nodes.launch import launcher as launcher_module
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.launch.launcher import FIRST_STATUS, RESTARTS_ALLOWED, Launcher
 from twin_node.nodes.launch.order import Order
+from twin_node.runtime.zenoh_session import ZenohParameters
 
 ENOUGH = 20
 """Spares that no launcher is to begin."""
@@ -92,3 +93,47 @@ def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin
 
     processes = "page: {nodes: [viewer], if: false}, arm: {nodes: [arm], restart: false}"
     assert begin(Failing, lambda line: None, processes).run().status == FIRST_STATUS + 1
+
+
+def test_a_router_that_ends_with_another_command_is_replaced(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Router:
+        is_open = True
+
+        def close(self) -> None:
+            self.is_open = False
+
+    tries: list[Router | None] = [None, None, Router()]
+    left = list(tries)
+
+    def open_router(_: ZenohParameters) -> Router | None:
+        return left.pop(0)
+
+    class Restless(Process):
+        """Has news until the launcher has looked for a router often enough."""
+
+        def activate(self) -> None:
+            self.is_active = True
+            self._on_news()
+
+        @property
+        def status(self) -> int | None:
+            if left:
+                self._on_news()
+            else:
+                launcher.interrupt()
+            return None
+
+        @status.setter
+        def status(self, _: int | None) -> None:
+            """It never ends."""
+
+    said: list[str] = []
+    launcher = begin(Restless, said.append, "arm: {nodes: [arm]}}, zenoh: {routers: [tcp/10.0.0.2:7447]")
+    monkeypatch.setattr(launcher_module, "open_router", open_router)
+    monkeypatch.setattr(launcher_module, "node_names", lambda _: frozenset())
+    launcher.run()
+    router = tries[-1]
+    assert not left and router is not None and not router.is_open
+    assert "need not be joined to tcp/10.0.0.2:7447" in said[0]

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from twin_node.nodes.launch.child import Child
 from twin_node.nodes.launch.host import REFUSED
@@ -50,6 +51,7 @@ class Launcher:
         self._news = threading.Event()
         self._interrupted = False
         self._is_active = False
+        self._router: Any | None = None
         self._children: dict[str, Child] = {}
         self._spares: dict[str, Child] = {}
         self._spareless: set[str] = set()
@@ -98,18 +100,20 @@ class Launcher:
             raise GraphError(
                 f"{self._log_folder}: no folder for logs can be made ({error.strerror}); choose one with --log-dir"
             ) from None
-        router = None if self._plan.is_lockstep else open_router(self._plan.zenoh)
+        if not self._plan.is_lockstep:
+            self._router = open_router(self._plan.zenoh)
         try:
-            if not self._plan.is_lockstep and (router is None or any(self._plan.zenoh.routers)):
+            if not self._plan.is_lockstep and (self._router is None or any(self._plan.zenoh.routers)):
                 self._check_neighbours()
+                self._tell_of_foreign_router()
             for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
                 self._children[process.name] = self._spawned(process)
                 self._children[process.name].configure()
             return self._watch()
         finally:
             self._stop_all()
-            if router is not None:
-                router.close()
+            if self._router is not None:
+                self._router.close()
 
     def _check_neighbours(self) -> None:
         """Two nodes of one name would contradict each other: two arms, two speeds."""
@@ -124,10 +128,21 @@ class Launcher:
                 "launch; end that, or set ROS_DOMAIN_ID to another number for this one"
             )
 
+    def _tell_of_foreign_router(self) -> None:
+        """A recorder that was begun before has a router too, and that is joined to no other machine's."""
+        zenoh = self._plan.zenoh
+        joined = ", ".join(router for router in zenoh.routers if router)
+        if self._router is None and zenoh.router == "auto" and joined:
+            self._say(
+                f"{zenoh.endpoint}: another command's router listens here, which need not be joined to {joined}; if "
+                "nothing comes from there, end that command: this launch then takes its place"
+            )
+
     def _watch(self) -> LaunchResult:
         while not self._interrupted:
             self._news.wait(STEP_S)
             self._news.clear()
+            self._keep_router()
             self._activate_when_ready()
             self._keep_spares()
             for process in self._processes():
@@ -144,6 +159,14 @@ class Launcher:
                 elif not self._restarted(process, child):
                     return LaunchResult(process.name, _reason(child), FIRST_STATUS + process.place, self._restarts)
         return LaunchResult(restarts=self._restarts)
+
+    def _keep_router(self) -> None:
+        """Takes the place of a router that was another command's (a recorder's, another launch's) and ended with it.
+
+        Those that have found each other go on without one; what is started later would be alone, and nobody told.
+        """
+        if self._router is None and not self._plan.is_lockstep:
+            self._router = open_router(self._plan.zenoh)
 
     def _processes(self) -> tuple[ProcessPlan, ...]:
         return (_LOCKSTEP,) if self._plan.is_lockstep else self._plan.processes
