@@ -257,14 +257,15 @@ sys.exit("scipy" in sys.modules)
 def test_the_nodes_of_a_process_are_made_anew_when_the_computers_clock_is_put_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Images stamped by the new time would be older than all that came before, and refused until it has caught up."""
+    """Images stamped by the new time would be older than all that came before, and refused until it has caught up; the
+    simulated cell would wait until then before it sends the next."""
     jumps: list[Callable[[], None]] = []
     monkeypatch.setattr(node_thread, "SystemClock", lambda on_jump_back: jumps.append(on_jump_back) or SystemClock())
     said: list[str] = []
-    graph = Graph(Order(("synchronizer", "ur_driver"), {}, False, False, {}, {}, "test"), said.append)
+    graph = Graph(Order(("synchronizer", "ur_driver", "cell"), {}, False, False, {}, {}, "test"), said.append)
     anew: list[str] = []
     monkeypatch.setattr(NodeThread, "begin_anew", lambda self: anew.append(self.name))
     for jump in jumps:
         jump()
     graph.close()
-    assert (anew, len(said)) == (["synchronizer"], 1)
+    assert (anew, len(said)) == (["synchronizer", "cell"], 1)

@@ -30,8 +30,8 @@ KINDS = {
 }
 """Node name -> module and function."""
 
-SOURCES = ("cameras", "cell", "player", "recorder", "ur_driver", "ur_sim")
-"""Nodes that a jump in time does not concern: they make the time, or only write down what comes."""
+SOURCES = ("cameras", "player", "recorder", "ur_driver", "ur_sim")
+"""Nodes that a jump in time does not concern: they go by a clock that has none, or only write down what comes."""
 
 IN_LOCKSTEP = ("player", "synchronizer", "twin", "arm", "recorder")
 """Nodes that a launch in lockstep stands for."""
