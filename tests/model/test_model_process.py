@@ -10,18 +10,21 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from model_scenes import BLOCK_SPEED, rig, sliding
 
 from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.model_process import Followed, ModelProcess
+from twin_node.model.model_process import LOOK_S, PATIENCE_S, Followed, ModelProcess
 from twin_node.model.model_worker import serve
 from twin_node.model.stages import LeftS, endless, granted
 from twin_node.runtime.worker_process import EndedError, Failed, send
-from twin_node.scene import TwinState
+from twin_node.scene import FrameSet, GaussianCloud, NodeStates, TwinState
 
 SETS = 16
+WAIT_S = 60.0
 HANDED_OVER = 8
 PARAMETERS = ModelParameters(seed=SeedParameters(steps=20))
 
@@ -86,7 +89,7 @@ def test_a_process_follows_what_is_seen_here(process: ModelProcess) -> None:
         seen = model.look(one)
         process.follow(seen)
         assert not process.is_free
-        state = process.result(wait=True)
+        state = process.result(WAIT_S)
         assert state is not None
         assert (state.stamp, state.model_stamp) == (one.stamp, one.stamp)
         assert state.frames is seen.frames
@@ -104,6 +107,22 @@ def test_a_process_that_dies_is_told_of(process: ModelProcess) -> None:
     with pytest.raises(EndedError, match=r"process \(\d+\) .* ended with status -9; .*own_process"):
         while True:  # what it does not take may fit into the pipe
             process.take(_first())
+
+
+def test_a_process_that_hangs_is_ended_and_told_of(process: ModelProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.kill(process.pid, signal.SIGSTOP)  # it will never even have loaded
+    nobody, nothing = GaussianCloud(*[np.empty(0)] * 9), NodeStates(*[np.empty(0)] * 7)
+    process.follow(TwinState(1, FrameSet(1, ()), nobody, nothing, (), ()))
+    now = [time.monotonic()]
+    monkeypatch.setattr("twin_node.model.model_process.time", SimpleNamespace(monotonic=lambda: now[0]))
+    now[0] += 2 * PATIENCE_S
+    assert process.result() is None, "whoever looks so seldom was stopped as well"
+    with pytest.raises(EndedError, match=r"process \(\d+\) to go on, found that it hangs, and ended it; .*own_process"):
+        for _ in range(round(PATIENCE_S / LOOK_S) + 1):
+            now[0] += LOOK_S
+            process.result()
+    with pytest.raises(ProcessLookupError):
+        os.kill(process.pid, 0)
 
 
 def test_a_process_ends_with_who_began_it(process: ModelProcess) -> None:

@@ -198,8 +198,8 @@ class InTurn:
         self._result, self._seen = self._model.follow(self._seen), None
         self.peak_rss_mb = 400.0
 
-    def result(self, wait: bool = False) -> TwinState | None:
-        if wait and self._seen is not None:
+    def result(self, wait_s: float = 0.0) -> TwinState | None:
+        if wait_s and self._seen is not None:
             self.work()
         result, self._result = self._result, None
         return result

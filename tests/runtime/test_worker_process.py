@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from twin_node.runtime.worker_process import READY, WorkerProcess, receive, send
+from twin_node.runtime.worker_process import READY, EndedError, WorkerProcess, receive, send
 
 INTERRUPTED = f"""
 import os, signal
@@ -26,14 +26,28 @@ run(main)
 """
 
 
-def test_an_interrupt_is_left_to_who_began_it(tmp_path: Path) -> None:
+def echo(tmp_path: Path, patience_s: float | None = None) -> contextlib.closing[WorkerProcess]:
+    """A process that says what it is told, once."""
     (tmp_path / "interrupted.py").write_text(INTERRUPTED)
     paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    with contextlib.closing(WorkerProcess("interrupted", "echo", "try again", {"PYTHONPATH": paths})) as begun:
+    return contextlib.closing(WorkerProcess("interrupted", "echo", "try again", {"PYTHONPATH": paths}, patience_s))
+
+
+def test_an_interrupt_is_left_to_who_began_it(tmp_path: Path) -> None:
+    with echo(tmp_path) as begun:
         assert begun.is_loaded(wait=True)
         begun.send("said")
         assert begun.receive() == "said"
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_who_hands_over_what_a_hanging_process_does_not_take_goes_on(tmp_path: Path) -> None:
+    with echo(tmp_path, patience_s=0.01) as begun:
+        os.kill(begun.pid, signal.SIGSTOP)
+        with pytest.raises(EndedError, match=r"echo: expected its process \(\d+\) .* hangs, and ended it; .*try again"):
+            begun.send(bytes(50_000_000))
+        with pytest.raises(ProcessLookupError):
+            os.kill(begun.pid, 0)
 
 
 def test_nobody_hands_over_more_where_a_message_breaks_off() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,13 @@ from twin_node.scene import GaussianCloud, NodeStates, TwinState
 
 if TYPE_CHECKING:
     from twin_node.model.window_model import WindowModel
+
+
+PATIENCE_S = 60.0
+"""How long a set may take to be followed, s, before its process counts as hanging: a thousand times the usual, for a
+device's code may be compiled meanwhile. What stands would be that of then for good, and nobody would know."""
+LOOK_S = 1.0
+"""Longest time between two looks for a result that counts as waiting, s: whoever was stopped itself has not waited."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +49,12 @@ class ModelProcess:
             "model",
             "give it more memory, or set own_process of 'model' to false",
             {"OMP_NUM_THREADS": str(max(1, thread_count() // 2))},
+            PATIENCE_S,
         )
         self._seen: TwinState | None = None
         """What it follows now."""
+        self._waited_s = 0.0
+        self._looked_s = 0.0
         self.has_model = False
         self.parameters_count = 0
         """Numbers that described the scene after the newest result, see `WindowModel.parameters_count`."""
@@ -76,15 +87,22 @@ class ModelProcess:
     def follow(self, seen: TwinState) -> None:
         """Hands over what was seen; only while it is free. Raises `EndedError`."""
         self._process.send(replace(seen, gaussians=seen.gaussians.only(np.empty(0, np.int64))))
-        self._seen = seen
+        self._seen, self._waited_s, self._looked_s = seen, 0.0, time.monotonic()
 
-    def result(self, wait: bool = False) -> TwinState | None:
-        """What it was given last, with the model of now; None where it has not come so far, or has been given nothing.
+    def result(self, wait_s: float = 0.0) -> TwinState | None:
+        """What it was given last, with the model of now; None where it has been given nothing, or that has not come
+        within `wait_s` seconds.
 
-        With `wait` once it has come. Raises the `TwinError` that following raises, and `EndedError`.
+        Raises the `TwinError` that following raises, and `EndedError`, also where the process hangs: it is ended then.
         """
         seen = self._seen
-        if seen is None or not (wait or self._process.connection.poll()):
+        if seen is None:
+            return None
+        if not self._process.connection.poll(wait_s):
+            looked_s, self._looked_s = self._looked_s, time.monotonic()
+            self._waited_s += min(self._looked_s - looked_s, LOOK_S)
+            if self._waited_s > PATIENCE_S:
+                self._process.give_up()
             return None
         self._seen = None
         followed = self._process.receive()

@@ -25,6 +25,9 @@ MOST_LET_BE = 1
 """Sets in a row that are looked at and not followed where the next one waits already: to follow takes as long as all
 else, and the arm is told of people so much more often."""
 
+LAST_S = 3.0
+"""How long what is followed at the end is waited for, s: less than a launcher waits before it kills a process."""
+
 
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set.
@@ -95,7 +98,7 @@ class ModelNode(Node):
 
     def on_deactivate(self) -> None:
         """What is followed now still goes out."""
-        self._collect(wait=True)
+        self._collect(LAST_S)
         self._publish_followed()
 
     def on_cleanup(self) -> None:
@@ -195,9 +198,9 @@ class ModelNode(Node):
             self._seen = None
             process.follow(seen)
 
-    def _collect(self, wait: bool = False) -> None:
-        """Takes in what the other process has followed, if it has."""
-        state = None if self._process is None else self._process.result(wait)
+    def _collect(self, wait_s: float = 0.0) -> None:
+        """Takes in what the other process has followed, if it has within `wait_s` seconds."""
+        state = None if self._process is None else self._process.result(wait_s)
         if state is not None:
             self.model.hear_of(state)
             self._followed = state

@@ -6,6 +6,8 @@ import contextlib
 import os
 import pickle
 import signal
+import socket
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -60,13 +62,23 @@ def receive(connection: Connection) -> Any:
 class WorkerProcess:
     """The process as whoever began it sees it."""
 
-    def __init__(self, module: str, name: str, advice: str, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        module: str,
+        name: str,
+        advice: str,
+        environment: Mapping[str, str] | None = None,
+        patience_s: float | None = None,
+    ) -> None:
         """Begins `python -m MODULE`, which calls `run`.
 
         `name` and `advice`: for the error where it ends by itself. `environment`: what is else in its than here.
+        `patience_s`: how long it may keep whoever hands it something, or waits for what it says; None: for ever.
         """
         self._name, self._advice = name, advice
         self.connection, its = Pipe()
+        if patience_s is not None:
+            _limit_waits(self.connection, patience_s)
         """This end of the pipe."""
         with its, _uninterrupted():
             self._process = subprocess.Popen(
@@ -118,10 +130,20 @@ class WorkerProcess:
         except subprocess.TimeoutExpired:
             self.end()
 
+    def give_up(self) -> NoReturn:
+        """Ends a process that hangs. Raises `EndedError`."""
+        self.end()
+        raise EndedError(
+            f"{self._name}: expected its process ({self.pid}) to go on, found that it hangs, and ended it; see what it "
+            f"has said before, {self._advice}"
+        )
+
     @contextlib.contextmanager
     def _gone_is_told(self) -> Iterator[None]:
         try:
             yield
+        except BlockingIOError:
+            self.give_up()
         except (EOFError, OSError):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(GRACE_S)
@@ -129,6 +151,14 @@ class WorkerProcess:
                 f"{self._name}: expected its process ({self.pid}) to go on, found that it has ended with status "
                 f"{self._process.returncode}; see what it has said before, {self._advice}"
             ) from None
+
+
+def _limit_waits(connection: Connection, patience_s: float) -> None:
+    """Lets sending and receiving raise `BlockingIOError` where the other end makes them wait for so long."""
+    limit = struct.pack("@ll", int(patience_s), round(patience_s % 1 * 1e6))
+    with socket.socket(fileno=os.dup(connection.fileno())) as end:  # options are the connection's, not its number's
+        for option in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+            end.setsockopt(socket.SOL_SOCKET, option, limit)
 
 
 @contextlib.contextmanager
