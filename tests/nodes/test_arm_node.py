@@ -271,13 +271,31 @@ def test_an_arm_that_is_told_to_stay_goes_along_its_path_no_longer() -> None:
     assert alone.somebody().reason == "stopped: the arm's trajectory is over, and no joints come"
 
 
+def test_an_arm_that_stands_for_want_of_forecasts_is_told_of() -> None:
+    """A twin that hangs cannot, and of what has ended nobody speaks: all that was left in the diagnostics was OK."""
+
+    def told() -> tuple[convert.Level, str]:
+        return next((d.level, d.message) for d in cell.node.diagnoses() if d.name == "arm: forecasts")
+
+    cell = Cell()
+    assert told()[0] is convert.Level.ERROR
+    cell.joints()
+    cell.somebody()
+    assert told() == (convert.Level.OK, "in time")
+    cell.wait(201)
+    assert told() == (convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status")
+    with pytest.raises(TwinError, match="map"):
+        cell.somebody(frame="map")
+    assert told()[1].startswith("refused: obstacles: expected them in base_link")
+
+
 def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:
     """A planner publishes it once and knows nothing of an arm that the twin holds back: that stood 1 rad behind it."""
     cell = Cell()
     cell.path(begins_ms=-1000, lasts_ms=4000)
     cell.joints(qd=np.zeros(6))
     assert cell.somebody().reason == "clear"
-    diagnosis, _ = cell.node.diagnoses()
+    diagnosis = cell.node.diagnoses()[0]
     assert diagnosis.level is convert.Level.WARN
     assert diagnosis.message.startswith("the arm is 0.90 rad from where /arm/trajectory has it")
     cell.path(begins_ms=0, lasts_ms=4000)

@@ -39,6 +39,17 @@ def test_what_came_before_the_start_does_not_count() -> None:
     assert latency.expected_ns == ASSUMED_NS
 
 
+def test_forecasts_that_come_too_late_for_any_arm_are_told_of() -> None:
+    """Each was sound, and the status said so; the arm stood for good."""
+    assert measured(*[390.0] * 60).warnings == ()
+    assert measured(*[900.0] * 29).warnings == ()
+    assert measured(*[40.0] * 31, *[5000.0] * 29).warnings == ()
+    assert measured(*[900.0] * 60).warnings == (
+        "latency: forecasts come 900 ms after their images, and an arm stands for what is older than 400 ms; choose a "
+        "smaller size or image width, or a faster machine",
+    )
+
+
 def test_lockstep_measures_nothing() -> None:
     """Its results would depend on the computer."""
     latency = Latency(ASSUMED_NS, is_measured=False)

@@ -109,7 +109,7 @@ class ArmNode(Node):
         self._silence.set(SHORTEST_WAIT_S)
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
-        """Whether it knows of an arm."""
+        """Whether it knows of an arm, whether that works where somebody looks, and whether forecasts come in time."""
         level, message = convert.Level.OK, "known"
         if self._arm.is_made_up:
             level = convert.Level.WARN
@@ -122,7 +122,7 @@ class ArmNode(Node):
                 f"the arm is {self._arm.stray_rad:.2f} rad from where {TRAJECTORY} has it: {JOINT_STATES} alone are "
                 "believed until another one comes; publish what it will do as it is held back"
             )
-        return (convert.Diagnosis(f"{self.name}: joints", level, message), self._reach())
+        return (convert.Diagnosis(f"{self.name}: joints", level, message), self._reach(), self._forecasts())
 
     def _reach(self) -> convert.Diagnosis:
         """Whether the arm works where somebody looks: elsewhere nothing is seen, and nothing stops it."""
@@ -134,6 +134,17 @@ class ArmNode(Node):
                 "nothing stops it; let the rig's 'workspace' reach farther"
             )
         return convert.Diagnosis(f"{self.name}: reach", level, message)
+
+    def _forecasts(self) -> convert.Diagnosis:
+        """Whether the arm stands because nothing is known: a twin that hangs cannot say so, nor one that has ended."""
+        silence_s = self._limiter.silence_s(self.clock.now())
+        level, message = convert.Level.OK, "in time"
+        if silence_s >= 2 * self._parameters.limiter.deadline_s:
+            level, message = convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status"
+            if self._refused is not None:
+                message = f"refused: {self._refused}"
+        readings = (convert.Reading("silence_s", f"{silence_s:.3f}"),)
+        return convert.Diagnosis(f"{self.name}: forecasts", level, message, readings)
 
     def _on_silence(self) -> None:
         """Slows an arm one deadline after its last forecast, stops it after two, and says so while it lasts."""

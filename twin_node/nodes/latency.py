@@ -10,6 +10,8 @@ ASSUMED_LATENCY_NS = 33_000_000
 """From evidence to publication in lockstep, and before it was measured: one frame at 30 Hz."""
 SAMPLES = 300
 """Latencies that the percentiles are taken over: 10 s at 30 Hz."""
+FEWEST = 30
+"""Latencies below which what is assumed stands."""
 LONGEST_BRIDGED_NS = 400_000_000
 """No forecast begins later after its evidence: by then an arm stands (`arm.LimiterParameters`). One set that was held
 up, or a clock that was set while it was under way, would have all that moves forecast to be minutes away."""
@@ -40,9 +42,20 @@ class Latency:
 
         At most `LONGEST_BRIDGED_NS`.
         """
-        if len(self._samples_ns) < 30:
+        if len(self._samples_ns) < FEWEST:
             return self._assumed_ns
         return min(max(int(np.percentile(self._samples_ns, 99)), 0), LONGEST_BRIDGED_NS)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know: where half of all forecasts come too late, an arm never moves."""
+        if len(self._samples_ns) < FEWEST or self.percentile_ms(50) <= LONGEST_BRIDGED_NS / 1e6:
+            return ()
+        return (
+            f"latency: forecasts come {self.percentile_ms(50):.0f} ms after their images, and an arm stands for what "
+            f"is older than {LONGEST_BRIDGED_NS / 1e6:.0f} ms; choose a smaller size or image width, or a faster "
+            "machine",
+        )
 
     def percentile_ms(self, percent: float) -> float:
         """A percentile of the measured latencies, ms; NaN without samples."""

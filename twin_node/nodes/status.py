@@ -99,6 +99,11 @@ class StatusNode(Node):
             coverage_target=forecast.quality.target,
             cameras=tuple(view.camera.name for view in seen.frames.views[: len(seen.exposures)]),
             exposures=tuple(exposure.brightness for exposure in seen.exposures),
-            warnings=(self._drift.warnings if self._drift else ()) + model.warnings + forecast.quality.warnings,
+            warnings=(
+                *(self._drift.warnings if self._drift else ()),
+                *self._latency.warnings,
+                *model.warnings,
+                *forecast.quality.warnings,
+            ),
         )
         self.bus.publish(STATUS, convert.status_to_message(status))
