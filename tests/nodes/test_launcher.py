@@ -11,7 +11,7 @@ import pytest
 
 from twin_node.nodes.launch import launcher as launcher_module
 from twin_node.nodes.launch.launch_file import read_launch_file
-from twin_node.nodes.launch.launcher import FIRST_STATUS, RESTARTS_ALLOWED, Launcher
+from twin_node.nodes.launch.launcher import FIRST_STATUS, HANGS_S, RESTARTS_ALLOWED, STEP_S, Launcher
 from twin_node.nodes.launch.order import Order
 from twin_node.runtime.zenoh_session import ZenohParameters
 
@@ -26,7 +26,7 @@ class Process:
         self, name: str, order: Order, log: Path, on_news: Callable[[], None], on_word: Callable[[str], None]
     ) -> None:
         self.name, self.pid, self.error, self.status = name, 0, None, None
-        self.is_loaded = self.is_configured = self.is_active = False
+        self.is_loaded = self.is_configured = self.is_active = self.has_pulsed = False
         self._on_news = on_news
         self.has_begun()
         on_news()
@@ -46,6 +46,10 @@ class Process:
         """It says nothing."""
 
     stop = discard = hear_out
+
+    def give_up(self) -> None:
+        self.error, self.status = "it hung, and was ended", -signal.SIGKILL
+        self._on_news()
 
 
 @pytest.fixture
@@ -93,6 +97,45 @@ def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin
 
     processes = "page: {nodes: [viewer], if: false}, arm: {nodes: [arm], restart: false}"
     assert begin(Failing, lambda line: None, processes).run().status == FIRST_STATUS + 1
+
+
+@pytest.mark.parametrize("stopped", ["the process", "the launcher", "both"])
+def test_a_process_that_hangs_is_started_again(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch, stopped: str
+) -> None:
+    begun: list[Process] = []
+    now = [0.0]
+
+    class Watched(Process):
+        """Has news until the launcher has looked often enough."""
+
+        looks = 0
+
+        def has_begun(self) -> None:
+            begun.append(self)
+
+        @property
+        def status(self) -> int | None:
+            if self.is_active and not self.is_ended:
+                self.looks += 1
+                now[0] += 3600.0 if "launcher" in stopped or stopped == "both" else STEP_S
+                self.has_pulsed = stopped == "the launcher" or self is not begun[0]
+                if self.looks > 3 * HANGS_S / STEP_S or len(begun) > 1:
+                    launcher.interrupt()
+                self._on_news()
+            return -signal.SIGKILL if self.is_ended else None
+
+        @status.setter
+        def status(self, value: int | None) -> None:
+            self.is_ended = value is not None
+
+    monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    said: list[str] = []
+    launcher = begin(Watched, said.append, "arm: {nodes: [arm]}")
+    assert launcher.run().status == 0
+    hung = ["arm: failed: it hung, and was ended; starting it again"]
+    assert said[1:] == ([] if stopped == "the launcher" else hung)
+    assert begun[0].looks > HANGS_S / (2 * STEP_S)
 
 
 def test_a_router_that_ends_with_another_command_is_replaced(

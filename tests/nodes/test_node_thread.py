@@ -15,11 +15,12 @@ import pytest
 from twin_node.errors import TwinError
 from twin_node.messages import convert, message_type
 from twin_node.nodes.launch import node_thread
-from twin_node.nodes.launch.node_thread import Graph, NodeFailedError, NodeThread
+from twin_node.nodes.launch.node_thread import STUCK_S, Graph, NodeFailedError, NodeThread
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
 from twin_node.runtime.clock import SystemClock
+from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.wire import LocalWire, Send
 
@@ -197,8 +198,28 @@ def test_what_ends_a_node_that_had_begun_was_not_refused(
     graph.configure()
     graph.activate()
     with pytest.raises(expected, match="the disk is full") as raised:
-        graph.run()
+        graph.run(lambda: None)
     assert type(raised.value) is expected
+    graph.close()
+
+
+def test_a_process_tells_that_it_goes_on_unless_a_node_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(node_thread, "PULSE_S", 0.0)
+    graph = Graph(ORDER, print)
+    (thread,) = graph._threads
+    stuck_for = [0.0]
+    monkeypatch.setattr(Executor, "busy_s", property(lambda _: stuck_for.pop() if stuck_for else 0.0))
+    pulses: list[int] = []
+
+    def pulse() -> None:
+        pulses.append(len(stuck_for))
+        if not stuck_for:
+            graph.stop()
+
+    stuck_for[:] = [2 * STUCK_S, 2 * STUCK_S, 1.0]
+    monkeypatch.setattr(thread, "stop", lambda: None)
+    graph.run(pulse)
+    assert pulses == [2, 0], "none while it is stuck"
     graph.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -36,6 +37,23 @@ def test_an_inbox_keeps_its_newest_and_counts_the_rest() -> None:
     inbox.offer(5)
     run_all(executor)
     assert seen == [3, 4, 5]
+
+
+def test_others_can_tell_whether_a_callback_ever_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [5.0]
+    monkeypatch.setattr("twin_node.runtime.executor.time", SimpleNamespace(monotonic=lambda: now[0]))
+    executor, busy = Executor(), []
+
+    def work(seconds: float) -> None:
+        now[0] += seconds
+        busy.append(executor.busy_s)
+
+    inbox = executor.inbox(work, 2)
+    inbox.offer(3.0)
+    inbox.offer(4.0)
+    assert executor.busy_s == 0.0
+    run_all(executor)
+    assert [*busy, executor.busy_s] == [3.0, 4.0, 0.0]
 
 
 def test_an_inbox_keeps_no_more_bytes_than_it_may() -> None:

@@ -167,6 +167,14 @@ class Executor:
         self._order = itertools.count()
         self._was_timer = False
         self._stopped = False
+        self._called: float | None = None
+        """When the callback that runs now was called, s of the monotonic clock."""
+
+    @property
+    def busy_s(self) -> float:
+        """For how long the callback that runs now has done so, s; 0 between two of them. From any thread."""
+        called = self._called
+        return 0.0 if called is None else time.monotonic() - called
 
     def inbox(
         self, callback: Callable[[Any], None], depth: int, patience: float = 0.0, most_bytes: float = math.inf
@@ -236,7 +244,9 @@ class Executor:
                 self._condition.wait(min([until - now, *waits]))
             else:
                 return False
+        self._called = time.monotonic()
         callback()
+        self._called = None
         return True
 
     def _add_timer(self, due: float, period_s: float | None, callback: Callable[[], None]) -> None:

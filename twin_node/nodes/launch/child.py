@@ -38,6 +38,8 @@ class Child:
         self.is_active = False
         self.error: str | None = None
         """What it failed of, as far as it could say."""
+        self.has_pulsed = False
+        """Whether it has told that it does not hang since this was last made false."""
         self._on_news = on_news
         self._on_word = on_word
         read_fd, write_fd = os.pipe()
@@ -89,6 +91,11 @@ class Child:
             self._process.kill()
             self._process.wait()
 
+    def give_up(self) -> None:
+        """Ends a process that hangs, without waiting for that: it has failed of it."""
+        self.error = "it hung, and was ended"
+        self._process.kill()
+
     def discard(self) -> None:
         """Ends a process whose nodes were never configured: it holds nothing that must be led down."""
         self._process.kill()
@@ -108,6 +115,9 @@ class Child:
                     self.is_loaded = True
                 elif event["event"] == "configured":
                     self.is_configured = True
+                elif event["event"] == "pulse":
+                    self.has_pulsed = True
+                    continue
                 elif event["event"] == "said":
                     self._on_word(event["text"])
                 else:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import select
 import signal
 import sys
 import threading
@@ -60,7 +61,7 @@ def _run_live(order: Order, events: Any) -> None:
         graph.configure()
         _say(events, event="configured")
         threading.Thread(target=_obey, args=(graph,), name="orders", daemon=True).start()
-        graph.run()
+        graph.run(lambda: _pulse(events))
     finally:
         graph.close()
 
@@ -83,6 +84,12 @@ def _is_told_to_stop(events: Any) -> threading.Event:
 
     threading.Thread(target=wait, name="orders", daemon=True).start()
     return told
+
+
+def _pulse(events: Any) -> None:
+    """Tells that nothing hangs, unless nobody listens: a launcher that is stopped must not stop its processes, too."""
+    if select.select((), (events,), (), 0)[1]:
+        _say(events, event="pulse")
 
 
 def _say(events: Any, **what: str) -> None:

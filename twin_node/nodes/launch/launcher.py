@@ -24,6 +24,8 @@ RESTARTS_ALLOWED = 5
 """A process that fails so often within `RESTART_WINDOW_S` is given up, and the launch with it; a spare alone."""
 RESTART_WINDOW_S = 30.0
 """Long enough that a fault at start-up, some seconds each time, is told from one a day."""
+HANGS_S = 20.0
+"""A process that has not told for so long that it goes on hangs, s; it does once a second, on a busy machine later."""
 STEP_S = 0.5
 """Longest sleep of the launcher, s: how long an interrupt may go unnoticed."""
 
@@ -58,6 +60,9 @@ class Launcher:
         self._failures: dict[str, list[float]] = {}
         self._spare_failures: dict[str, list[float]] = {}
         self._restarts = 0
+        self._looked = time.monotonic()
+        self._silences: dict[str, float] = {}
+        """For how long nothing was heard of each process, s."""
 
     def interrupt(self) -> None:
         """Lets `run` bring everything down."""
@@ -145,6 +150,7 @@ class Launcher:
             self._keep_router()
             self._activate_when_ready()
             self._keep_spares()
+            self._end_what_hangs()
             for process in self._processes():
                 child = self._children[process.name]
                 if child.status is None:
@@ -159,6 +165,21 @@ class Launcher:
                 elif not self._restarted(process, child):
                     return LaunchResult(process.name, _reason(child), FIRST_STATUS + process.place, self._restarts)
         return LaunchResult(restarts=self._restarts)
+
+    def _end_what_hangs(self) -> None:
+        """A process that does not go on has failed like one that has ended; the arm has stood since.
+
+        Time in which this launcher was stopped itself (Ctrl-Z, a machine that was) tells nothing of others.
+        """
+        now = time.monotonic()
+        passed, self._looked = min(now - self._looked, 2 * STEP_S), now
+        for name, child in self._children.items() if not self._plan.is_lockstep else ():
+            is_heard = child.has_pulsed or not child.is_active
+            child.has_pulsed = False
+            self._silences[name] = 0.0 if is_heard else self._silences.get(name, 0.0) + passed
+            if self._silences[name] > HANGS_S and child.status is None:
+                self._silences[name] = 0.0
+                child.give_up()
 
     def _keep_router(self) -> None:
         """Takes the place of a router that was another command's (a recorder's, another launch's) and ended with it.

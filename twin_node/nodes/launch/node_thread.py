@@ -26,6 +26,11 @@ from twin_node.runtime.zenoh_session import ZenohParameters
 DIAGNOSTICS_PERIOD_S = 1.0
 """Diagnostics go out at 1 Hz, as is customary."""
 
+PULSE_S = 1.0
+"""How often a process tells its launcher that it does not hang, s."""
+STUCK_S = 300.0
+"""What a node has not done by then it never will, s: a first set may wait until a device's code is compiled."""
+
 
 class NodeFailedError(Exception):
     """A node that was active met what it could not work with: another try may go better."""
@@ -104,6 +109,11 @@ class NodeThread:
         self._executor.stop()
         if self._thread.ident is not None:
             self._thread.join()
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the node is not done with one thing for so long that it never will be; from any thread."""
+        return self._executor.busy_s > STUCK_S
 
     @property
     def _made(self) -> Node:
@@ -207,12 +217,15 @@ class Graph:
         """Let `run` return; from any thread."""
         self._ended.set()
 
-    def run(self) -> None:
+    def run(self, pulse: Callable[[], None]) -> None:
         """Waits until told to stop, or a node has finished; raises what a node failed of.
 
-        That is a `TwinError` only where the node has never been active; else a `NodeFailedError` of the same words.
+        Meanwhile it calls `pulse()` once a second, for as long as none of the nodes hangs. What is raised is a
+        `TwinError` only where the node has never been active; else a `NodeFailedError` of the same words.
         """
-        self._ended.wait()
+        while not self._ended.wait(PULSE_S):
+            if not any(thread.is_stuck for thread in self._threads):
+                pulse()
         for thread in self._threads:
             thread.stop()
         for thread in self._threads:
