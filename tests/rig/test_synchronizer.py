@@ -135,6 +135,21 @@ def test_a_camera_that_comes_back_is_waited_for_again() -> None:
     assert not sync.report.inputs[1].silent
 
 
+@pytest.mark.parametrize("rate_hz", [1, 3, 5, 9, 15])
+@pytest.mark.parametrize("missed", [1, 4])
+def test_a_camera_that_misses_images_is_waited_for_again_whatever_its_rate(rate_hz: int, missed: int) -> None:
+    """Below 10 Hz no two images come within a deadline: one that was lost had its camera left out for good."""
+    sync = ApproximateTimeSynchronizer[None](["a", "b", "c"])
+    complete = []
+    for k in range(30):
+        for i, name in enumerate(sync.inputs):
+            t = (1000 * k // rate_hz + 5 * i) * MS
+            if not (name == "c" and 10 <= k < 10 + missed) and not (name == "b" and 20 <= k < 20 + missed):
+                complete += [None not in s.members for s in [*sync.poll(t), *sync.add(name, t, None, now=t)]]
+    assert complete[-3:] == [True] * 3
+    assert complete.count(False) <= 2 * (missed + 2)
+
+
 @pytest.mark.parametrize(("lag_ms", "returns"), [(40, True), (75, True), (95, False), (250, False)])
 def test_a_camera_of_a_slower_link_that_comes_back_is_waited_for_again(lag_ms: int, returns: bool) -> None:
     """Meanwhile the others' sets go out at once, and all that it sends is of before the last of them."""

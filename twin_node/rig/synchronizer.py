@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from statistics import median
 from typing import Generic, TypeVar
 
 from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
@@ -19,6 +20,10 @@ PERIODS_KEPT = 8
 RETURN_SHARE = 0.8
 """A camera whose images come late is waited for again if that takes at most this share of the deadline: at the deadline
 itself every other image would miss it."""
+
+RETURN_PERIODS = 1.5
+"""A camera that was left out is back once two of its images come within so many periods of the fastest one, or within
+the deadline: of cameras with less than 10 Hz never do two come within that."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +221,7 @@ class ApproximateTimeSynchronizer(Generic[T]):
             self._policy.min_period[i] = int(p.period_share * state.shortest_period)
 
     def _takes_part(self, i: int, stamp: int, now: int, fate: _Fate) -> bool:
-        """Whether sets need an input; one that was left out is back once two of its images came within a deadline.
+        """Whether sets need an input; one that was left out is back once two of its images come soon enough in a row.
 
         Sets do not wait for who is left out, so that all images of a slower link come late: they count as long as they
         come soon enough after the others' to be waited for.
@@ -225,13 +230,21 @@ class ApproximateTimeSynchronizer(Generic[T]):
         previous, state.arrival, state.lag = state.arrival, now, now - stamp
         if i in self._policy.active:
             return True
-        steady = previous is not None and deadline is not None and now - previous < deadline
+        if previous is None or deadline is None:
+            return False
+        steady = now - previous < max(deadline, RETURN_PERIODS * self._fastest_period)
         if steady and fate is _Fate.LATE:
             lags = [lag for j in self._policy.active if (lag := self._inputs[j].lag) is not None]
-            steady = state.lag - min(lags, default=state.lag) <= RETURN_SHARE * (deadline or 0)
+            steady = state.lag - min(lags, default=state.lag) <= RETURN_SHARE * deadline
         if steady:
             self._policy.activate(i)
         return steady
+
+    @property
+    def _fastest_period(self) -> float:
+        """Of the cameras that sets need, as their last images have it, ns; 0 where none has sent two."""
+        periods = (self._inputs[j].periods for j in self._policy.active)
+        return min((median(some) for some in periods if some), default=0.0)
 
     def _emit(self, ready: list[Members[T]]) -> list[SyncSet[T]]:
         """Sets of the members that the policy chose, counted."""
