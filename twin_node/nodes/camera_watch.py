@@ -13,6 +13,8 @@ from twin_node.rig import InputCounts, SyncReport
 SLOW_SHARE = 0.75
 """A camera at less than this share of the fastest one's rate is named, or of its own with depth: a missed image in four
 is no jitter."""
+ON_THE_EDGE = 1
+"""Images that may have come just before or after a report, and that a camera is not slow, or silent, for."""
 LATE_NS = 20_000_000
 """A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
 OLD_NS = 1_000_000_000
@@ -47,6 +49,8 @@ class CameraWatch:
     def __init__(self, cameras: Sequence[str]) -> None:
         self._seen = {name: _Seen() for name in cameras}
         self._before: dict[str, InputCounts] = {}
+        self._usual: dict[str, int] = {}
+        """Images by the report before."""
         self._measuring: set[str] = set()
         """Cameras that have sent depth."""
 
@@ -90,19 +94,24 @@ class CameraWatch:
                     f"ahead: images are stamped {-lag / 1e6:.0f} ms after their arrival; let chrony or PTP keep the "
                     "clocks together"
                 )
-            level = Level.ERROR if counts[name] == 0 else Level.WARN if faults else Level.OK
+            level = Level.ERROR if self._is_silent(name, counts[name]) else Level.WARN if faults else Level.OK
             text = "; ".join(faults) or "in step with the others"
             found.append(Diagnosis(f"{node}: {name}", level, text, _readings(totals, lag), name))
             self._before[name] = totals
+        self._usual = counts
         self._seen = {name: _Seen() for name in self._seen}
         return tuple(found)
+
+    def _is_silent(self, name: str, count: int) -> bool:
+        """Whether a camera with so many images has stopped: one with about one a report may have it a moment later."""
+        return count == 0 and not 0 < self._usual.get(name, 0) <= ON_THE_EDGE
 
     def _faults(self, totals: InputCounts, count: int, most: int, extra_lag: float) -> list[str]:
         before = self._before.get(totals.name, InputCounts(totals.name))
         faults = []
-        if count == 0:
+        if self._is_silent(totals.name, count):
             faults.append("silent: no image since the last report; the twin goes on without it")
-        elif count < SLOW_SHARE * most:
+        elif count + ON_THE_EDGE < SLOW_SHARE * most:
             faults.append(f"slow: {count} images where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
