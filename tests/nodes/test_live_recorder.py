@@ -88,6 +88,24 @@ def test_a_disk_that_refuses_is_told_to_the_user_of_a_graph(tmp_path: Path, monk
         assert len(list(log.messages())) == 1
 
 
+def test_a_recorder_that_is_started_again_on_a_full_disk_ends_no_launch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It failed at once as often as it was tried, and then twin and arm were brought down with it."""
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(RecordingWriter, "_begin_file", refuse)
+    with pytest.raises(BagError, match="No space left on device"):
+        Studio(tmp_path / "other", SystemClock())
+    studio = Studio(tmp_path / "run", SystemClock())
+    studio.hear_diagnostics()
+    assert "run exists already: recording into" in studio.said[0]
+    assert "No space left on device" in studio.said[1]
+    assert [diagnosis.level for diagnosis in studio.node.diagnoses()] == [Level.ERROR]
+    studio.end()
+    with pytest.raises(BagError, match="No space left on device"):
+        Studio(tmp_path / "run", SystemClock(), ends_when_refused=True)
+
+
 @pytest.mark.parametrize("is_latched", [True, False])
 def test_what_its_publisher_keeps_for_late_listeners_is_recorded_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_latched: bool

@@ -83,13 +83,22 @@ class LiveRecorderNode(Node):
         self._error: BagError | None = None
 
     def on_configure(self) -> None:
-        """Raises `BagError` where the output cannot be begun."""
+        """Raises `BagError` where the output cannot be begun.
+
+        Not where something has its name already, as when a recorder of a graph is started again and the disk is full by
+        now: the rest of the graph goes on.
+        """
         wanted = Path(self._parameters.output)
         path = _unused(wanted)
         if path != wanted:
             self._say(f"{wanted} exists already: recording into {path}")
         builtin_types()  # takes half a second when first called: a topic that has just been found cannot wait for it
-        self._writer = RecordingWriter(path, self._parameters.split)
+        try:
+            self._writer = RecordingWriter(path, self._parameters.split)
+        except BagError as error:
+            if path == wanted or self._parameters.ends_when_refused:
+                raise
+            self._fail(error)
         for topic in self._topics:
             if kind_of(topic).msgtype is not None:
                 self.add(topic, kind_of(topic))
