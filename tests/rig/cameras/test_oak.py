@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -106,6 +107,21 @@ def test_a_device_that_cannot_even_be_let_go_is_looked_for_again(monkeypatch: py
         assert "thread failed" not in source.health[0].message
         time.sleep(0.01)
     assert len(gone.streams["left"]) >= 2
+    source.close()
+
+
+def test_a_device_that_sends_nothing_is_opened_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is there, and says nothing of why: it was connected, and silent, for good."""
+    monkeypatch.setattr("twin_node.rig.cameras.oak.RETRY_S", 0.0)
+    monkeypatch.setattr("twin_node.rig.cameras.oak.STALLED_S", 0.01)
+    ended: list[str] = []
+    mute = SimpleNamespace(get=lambda _: None)
+    stalled = SimpleNamespace(colour=mute, depth=None, calibration=None, close=lambda: ended.append("stalled"))
+    opened = iter([stalled])
+    source = OakSource([LEFT], lambda camera: next(opened, None) or HostStreams(camera))
+    take(source.images(), "left", 2)
+    assert ended == ["stalled"]
+    assert (source.health[0].is_connected, source.health[0].reconnections) == (True, 1)
     source.close()
 
 

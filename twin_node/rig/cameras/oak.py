@@ -26,6 +26,9 @@ from twin_node.scene import Float32, Float64
 
 RETRY_S = 1.0
 """Between two looks for a device, s."""
+STALLED_S = 10.0
+"""A device that is there, and sends no image for so long, is opened anew, s: what its pipeline or its cable has lost
+does not come back by itself. One that waits for another's trigger is none the worse for it."""
 PAIR_TOLERANCE_NS = 10_000_000
 """A depth image belongs to the colour image of the same exposure: colour and mono mid-exposures differ by less."""
 SYNC_MODES = ("none", "auto", "output", "input", "ptp")
@@ -149,12 +152,15 @@ class OakSource(ThreadedSource[OakCamera]):
     def _read(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:
         """Images until the device is lost, or the source closed; says why it ended."""
         depths: list[Any] = []
+        heard = time.monotonic()
         try:
             while not self._queue.closed.is_set():
                 frame = streams.colour.get(_timeout())
                 if frame is None:
+                    if time.monotonic() - heard > STALLED_S:
+                        return f"sends nothing, for {STALLED_S:g} s; opening it anew"
                     continue
-                depth = None
+                heard, depth = time.monotonic(), None
                 if streams.depth is not None:
                     depths = [*depths, *streams.depth.tryGetAll()][-QUEUED_PER_CAMERA:]
                     depth = _paired(frame, depths, streams.depth)
