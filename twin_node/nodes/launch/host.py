@@ -14,6 +14,7 @@ import select
 import signal
 import sys
 import threading
+import time
 import traceback
 from typing import Any
 
@@ -23,6 +24,9 @@ from twin_node.nodes.launch.order import Order
 
 FAILED, REFUSED = 1, 2
 """Exit statuses: a node failed; what it was given is wrong, before it had been active."""
+
+LAST_S = 10.0
+"""How long the nodes may take to end where the launcher has died, s: twice as long as it would wait."""
 
 
 def main() -> int:
@@ -71,6 +75,8 @@ def _obey(graph: Any) -> None:
         if line.strip() == "activate":
             graph.activate()
     graph.stop()
+    time.sleep(LAST_S)
+    os._exit(FAILED)  # a node hangs, and who would have ended this process by now has died
 
 
 def _is_told_to_stop(events: Any) -> threading.Event:
