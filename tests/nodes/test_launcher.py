@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -97,6 +99,27 @@ def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin
 
     processes = "page: {nodes: [viewer], if: false}, arm: {nodes: [arm], restart: false}"
     assert begin(Failing, lambda line: None, processes).run().status == FIRST_STATUS + 1
+
+
+def test_a_launch_whose_output_nobody_takes_goes_on(begin: Callable[..., Launcher]) -> None:
+    """`launch > launch.log` on the disk that its recorder has filled: the word of it ended twin and arm."""
+    begun: list[Process] = []
+
+    class Failing(Process):
+        def has_begun(self) -> None:
+            begun.append(self)
+
+        def activate(self) -> None:
+            self.is_active, self.status = True, 1 if len(begun) == 1 else None
+            if len(begun) > 1:
+                launcher.interrupt()
+            self._on_news()
+
+    def say(line: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    launcher = begin(Failing, say, "arm: {nodes: [arm]}")
+    assert launcher.run().restarts == 1
 
 
 @pytest.mark.parametrize("stopped", ["the process", "the launcher", "both"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
 import time
@@ -46,10 +47,10 @@ class Launcher:
     """A launch from start to end; `run` blocks, `interrupt` may be called from a signal handler."""
 
     def __init__(self, plan: LaunchPlan, log_folder: Path, say: Callable[[str], None]) -> None:
-        """Processes write to `log_folder`/PROCESS.log; `say(line)` tells the user what happens."""
+        """Processes write to `log_folder`/PROCESS.log; `say(line)` tells the user what happens, or raises `OSError`."""
         self._plan = plan
         self._log_folder = log_folder
-        self._say = say
+        self._tell = say
         self._news = threading.Event()
         self._interrupted = False
         self._is_active = False
@@ -63,6 +64,11 @@ class Launcher:
         self._looked = time.monotonic()
         self._silences: dict[str, float] = {}
         """For how long nothing was heard of each process, s."""
+
+    def _say(self, line: str) -> None:
+        """Tells the user; where nobody reads it any more, or its disk is full, the graph goes on all the same."""
+        with contextlib.suppress(OSError):
+            self._tell(line)
 
     def interrupt(self) -> None:
         """Lets `run` bring everything down."""
