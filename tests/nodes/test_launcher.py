@@ -13,7 +13,7 @@ import pytest
 
 from twin_node.nodes.launch import launcher as launcher_module
 from twin_node.nodes.launch.launch_file import read_launch_file
-from twin_node.nodes.launch.launcher import FIRST_STATUS, HANGS_S, RESTARTS_ALLOWED, STEP_S, Launcher
+from twin_node.nodes.launch.launcher import FIRST_STATUS, HANGS_S, LOADS_S, RESTARTS_ALLOWED, STEP_S, Launcher
 from twin_node.nodes.launch.order import Order
 from twin_node.runtime.zenoh_session import ZenohParameters
 
@@ -159,6 +159,41 @@ def test_a_process_that_hangs_is_started_again(
     hung = ["arm: failed: it hung, and was ended; starting it again"]
     assert said[1:] == ([] if stopped == "the launcher" else hung)
     assert begun[0].looks > HANGS_S / (2 * STEP_S)
+
+
+@pytest.mark.parametrize(("takes_s", "restarts"), [(LOADS_S - 10, 0), (2 * LOADS_S, 1)])
+def test_a_process_that_never_gets_ready_is_started_again(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch, takes_s: float, restarts: int
+) -> None:
+    """One that only takes its time is not, nor for that time once it is ready."""
+    begun: list[Process] = []
+    now = [0.0]
+
+    class Slow(Process):
+        def has_begun(self) -> None:
+            begun.append(self)
+
+        def configure(self) -> None:
+            """It takes its time, but for the second."""
+
+        @property
+        def status(self) -> int | None:
+            now[0] += STEP_S
+            self.is_configured = now[0] > takes_s or self is not begun[0]
+            if self.is_active:
+                launcher.interrupt()
+            self._on_news()
+            return self.ended
+
+        @status.setter
+        def status(self, value: int | None) -> None:
+            self.ended = value
+
+    monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    said: list[str] = []
+    launcher = begin(Slow, said.append, "arm: {nodes: [arm]}")
+    assert launcher.run().restarts == restarts
+    assert said == ["arm: failed: it hung, and was ended; starting it again"] * restarts + ["active: arm"]
 
 
 def test_a_router_that_ends_with_another_command_is_replaced(

@@ -27,6 +27,8 @@ RESTART_WINDOW_S = 30.0
 """Long enough that a fault at start-up, some seconds each time, is told from one a day."""
 HANGS_S = 20.0
 """A process that has not told for so long that it goes on hangs, s; it does once a second, on a busy machine later."""
+LOADS_S = 300.0
+"""So does one whose nodes are not configured by then, s, which else takes seconds."""
 STEP_S = 0.5
 """Longest sleep of the launcher, s: how long an interrupt may go unnoticed."""
 
@@ -180,10 +182,9 @@ class Launcher:
         now = time.monotonic()
         passed, self._looked = min(now - self._looked, 2 * STEP_S), now
         for name, child in self._children.items() if not self._plan.is_lockstep else ():
-            is_heard = child.has_pulsed or not child.is_active
+            self._silences[name] = 0.0 if child.has_pulsed else self._silences.get(name, 0.0) + passed
             child.has_pulsed = False
-            self._silences[name] = 0.0 if is_heard else self._silences.get(name, 0.0) + passed
-            if self._silences[name] > HANGS_S and child.status is None:
+            if self._silences[name] > (HANGS_S if child.is_active else LOADS_S) and child.status is None:
                 self._silences[name] = 0.0
                 child.give_up()
 
@@ -208,8 +209,9 @@ class Launcher:
                 return
             self._is_active = True
             self._say("active: " + ", ".join(self._children))
-        for child in reversed(self._children.values()):
+        for name, child in reversed(self._children.items()):
             if child.is_configured and not child.is_active:
+                self._silences[name] = 0.0  # it has come to life a moment ago
                 child.activate()
 
     def _keep_spares(self) -> None:
@@ -262,7 +264,7 @@ class Launcher:
         spare = self._spares.pop(process.name, None)
         if spare is None or spare.status is not None:
             spare = self._spawned(process)
-        self._children[process.name] = spare
+        self._children[process.name], self._silences[process.name] = spare, 0.0
         spare.configure()
         return True
 
