@@ -58,6 +58,7 @@ def test_the_decision_is_written_above_the_arm(fraction: float, text: str) -> No
     marker = convert.separation_to_marker(decision)
     assert marker.text == text
     assert marker.color.g == fraction
+    assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, 500_000_000), "100 % stood there after the arm's node"
     assert len(serialize(marker)) > 100
 
 

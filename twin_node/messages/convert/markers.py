@@ -25,7 +25,7 @@ FRUSTUM_DEPTH_M = 0.3
 LINE_WIDTH_M = 0.005
 TEXT_HEIGHT_M = 0.1
 LIFETIME_NS = 500_000_000
-"""Obstacles vanish when none have come for so long: a viewer must not show what nobody stands for."""
+"""Obstacles and decisions vanish when none have come for so long: a viewer must not show what nobody stands for."""
 
 _CUBE, _SPHERE, _LINE_LIST, _TEXT, _DELETE_ALL = 1, 2, 5, 9, 3
 """Constants of `visualization_msgs/Marker`."""
@@ -68,6 +68,7 @@ def separation_to_marker(separation: Separation) -> Message:
     marker = _marker(separation.stamp, BASE_FRAME, "separation", 0, _TEXT, (1.0 - share, share, 0.1, 1.0))
     marker.pose = _pose(np.array([0.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0, 0.0]))
     marker.scale = _vector(np.array([0.0, 0.0, TEXT_HEIGHT_M]))
+    marker.lifetime = to_duration(LIFETIME_NS)
     marker.text = f"{100 * share:.0f} %: {separation.reason}"
     return marker
 
