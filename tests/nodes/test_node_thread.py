@@ -141,20 +141,28 @@ def test_a_node_that_was_made_anew_is_let_go(bench: Bench) -> None:
     bench.thread.stop()
 
 
-def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(bench: Bench) -> None:
+def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(node_thread, "DIAGNOSTICS_PERIOD_S", 0.01)
     told: list[Any] = []
-    arrived = threading.Event()
+    arrived, recovered = threading.Event(), threading.Event()
 
     def hear(message: Any) -> None:
         told.append(convert.diagnostics_from_message(message))
         if any("joints of another arm" in d.message for d in told[-1]):
             arrived.set()
+        elif arrived.is_set():
+            recovered.set()
 
     bench.wire.subscribe("test", DIAGNOSTICS, kind_of(DIAGNOSTICS), hear)
     bench.begin()
     bench.send(bench.joints("odd"))
     assert arrived.wait(WAIT_S)
     assert {d.name for d in told[-1]} == {"counter: messages", "counter: joints"}
+    assert recovered.wait(WAIT_S), "one message was a warning for as long as the node lived"
+    [reading] = told[-1][0].readings
+    assert (reading.key, reading.value) == (f"unusable {JOINT_STATES}", "1")
     bench.send(bench.joints("bug"))
     assert bench.ended.wait(WAIT_S)
     assert isinstance(bench.thread.error, ZeroDivisionError)

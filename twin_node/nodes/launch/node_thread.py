@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import itertools
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -61,12 +62,15 @@ class NodeThread:
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
         self._bus: WireBus
+        self._told: tuple[Traffic, ...] = ()
+        """What was last said of the node's subscriptions."""
         self._node: Node | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def make(self) -> None:
         """Makes the node, in the calling thread; nobody hears of it yet. Raises what its factory raises."""
         self._bus = WireBus(self._wire, self._executor, self.name, kind_of, self._order.remaps)
+        self._told = ()
         setup = Setup(
             self.name,
             self._bus,
@@ -156,15 +160,22 @@ class NodeThread:
         self._on_end()
 
     def _diagnose(self) -> None:
-        own = (_traffic_diagnosis(self.name, self._bus.traffic), *self._made.diagnoses())
+        before, self._told = self._told, self._bus.traffic
+        own = (_traffic_diagnosis(self.name, self._told, before), *self._made.diagnoses())
         self._bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(self._clock.now(), own))
 
 
-def _traffic_diagnosis(name: str, traffic: tuple[Traffic, ...]) -> convert.Diagnosis:
-    """How the node's subscriptions are doing."""
-    bad = [t for t in traffic if t.unreadable]
+def _traffic_diagnosis(name: str, traffic: tuple[Traffic, ...], before: tuple[Traffic, ...]) -> convert.Diagnosis:
+    """How the node's subscriptions are doing: what could not be used since `before`, and how much in all."""
+    known = itertools.chain((t.unreadable for t in before), itertools.repeat(0))  # of all that there were by then
+    bad = [t for t, count in zip(traffic, known, strict=False) if t.unreadable > count]
     message = "; ".join(f"{t.topic}: {t.last_error}" for t in bad) or "all messages taken"
-    readings = tuple(convert.Reading(f"dropped {t.topic}", str(t.dropped)) for t in traffic if t.dropped)
+    readings = tuple(
+        convert.Reading(f"{what} {t.topic}", str(count))
+        for t in traffic
+        for what, count in (("dropped", t.dropped), ("unusable", t.unreadable))
+        if count
+    )
     return convert.Diagnosis(f"{name}: messages", convert.Level.WARN if bad else convert.Level.OK, message, readings)
 
 
