@@ -65,6 +65,39 @@ class FailsOnce:
         pass
 
 
+class Breaks(FailsOnce):
+    """A camera whose backend raises when it is gone, as some do."""
+
+    def __init__(self, opened: list[int], released: list[int]) -> None:
+        super().__init__(opened)
+        self._released = released
+
+    def read(self) -> tuple[bool, Any]:
+        ok, image = super().read()
+        if not ok:
+            raise cv2.error("Unknown C++ exception from OpenCV code")
+        return ok, image
+
+    def release(self) -> None:
+        self._released.append(1)
+
+
+def test_a_camera_that_breaks_is_let_go_and_opened_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was gone for as long as the process ran, and nobody else could open it."""
+    monkeypatch.setattr("twin_node.rig.cameras.threaded_source.RETRY_S", 0.0)
+    opened: list[int] = []
+    released: list[int] = []
+    source = OpenCvSource([OpenCvCamera("usb", "0")], lambda address: Breaks(opened, released))
+    images = [image for image, _ in zip(source.images(), range(7), strict=False)]
+    assert len(images) == 7
+    assert len(opened) >= 4
+    source.close()
+    assert len(released) == len(opened)
+    assert capsys.readouterr().err.count("Traceback") == 1, "the same fault again is no news"
+
+
 def test_a_camera_that_fails_is_opened_again() -> None:
     opened: list[int] = []
     source = OpenCvSource([OpenCvCamera("usb", "0", width=640)], lambda address: FailsOnce(opened))

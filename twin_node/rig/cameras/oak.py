@@ -20,12 +20,10 @@ import numpy as np
 from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, check_ranges
 from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
-from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, ThreadedSource
+from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, RETRY_S, ThreadedSource
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float32, Float64
 
-RETRY_S = 1.0
-"""Between two looks for a device, s."""
 STALLED_S = 10.0
 """A device that is there, and sends no image for so long, is opened anew, s: what its pipeline or its cable has lost
 does not come back by itself. One that waits for another's trigger is none the worse for it."""

@@ -13,11 +13,8 @@ import numpy as np
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 from twin_node.rig.cameras.image_source import CameraHealth, CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
-from twin_node.rig.cameras.threaded_source import ThreadedSource
+from twin_node.rig.cameras.threaded_source import RETRY_S, ThreadedSource
 from twin_node.rig.errors import RigError
-
-RETRY_S = 1.0
-"""Between two attempts to open a camera, s."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +53,15 @@ class OpenCvSource(ThreadedSource[OpenCvCamera]):
         connections = 0
         while not self._queue.closed.is_set():
             capture = self._open(camera)
-            if capture.isOpened():
-                connections += 1
-                self._health[camera.name] = CameraHealth(
-                    camera.name, is_connected=True, message="connected", reconnections=connections - 1
-                )
-                self._read(camera, capture, stamps)
-            capture.release()
+            try:
+                if capture.isOpened():
+                    connections += 1
+                    self._health[camera.name] = CameraHealth(
+                        camera.name, is_connected=True, message="connected", reconnections=connections - 1
+                    )
+                    self._read(camera, capture, stamps)
+            finally:
+                capture.release()
             message = f"no image from {camera.address}; trying again every {RETRY_S:g} s"
             self._health[camera.name] = CameraHealth(
                 camera.name, is_connected=False, message=message, reconnections=max(connections - 1, 0)

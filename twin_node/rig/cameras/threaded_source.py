@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import Generic, Protocol, TypeVar
@@ -10,6 +11,8 @@ from typing import Generic, Protocol, TypeVar
 from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
 from twin_node.rig.errors import RigError
 
+RETRY_S = 1.0
+"""Between two attempts to open a camera, or looks for a device, s."""
 QUEUED_PER_CAMERA = 4
 """Images of a camera that may wait for the reader: a seventh of a second at 30 Hz."""
 
@@ -63,13 +66,17 @@ class ThreadedSource(ABC, Generic[C]):
             thread.join()
 
     def _guarded(self, camera: C) -> None:
-        try:
-            self._run(camera)
-        except BaseException as error:  # the trace goes to the log; health must not go on saying that all is well
-            self._health[camera.name] = CameraHealth(
-                camera.name, is_connected=False, message=f"its thread failed: {error!r}"
-            )
-            raise
+        told = ""
+        while not self._queue.closed.is_set():
+            try:
+                self._run(camera)
+            except Exception as error:  # whatever a camera's library raises: it may be well the next time
+                message = f"its thread failed: {error!r}; trying again every {RETRY_S:g} s"
+                self._health[camera.name] = CameraHealth(camera.name, is_connected=False, message=message)
+                if message != told:  # once into the log: the same again is no news
+                    traceback.print_exc()
+                told = message
+                self._queue.closed.wait(RETRY_S)
 
     @abstractmethod
     def _run(self, camera: C) -> None:
