@@ -191,6 +191,9 @@ class Failing(Node):
             self._fail()
         self._timers.every(0.001, self._fail)
 
+    def on_deactivate(self) -> None:
+        raise ValueError("what is not open cannot be closed")
+
     def _fail(self) -> None:
         raise TwinError("the disk is full")
 

@@ -150,13 +150,11 @@ class NodeThread:
         self._executor.stop()
 
     def _run(self) -> None:
-        try:
+        for do in (self._executor.spin, self._end_node):
             try:
-                self._executor.spin()
-            finally:
-                self._end_node()
-        except BaseException as error:  # the process's main thread raises it, whatever it is
-            self.error = error
+                do()
+            except BaseException as error:  # the process's main thread raises it, whatever it is
+                self.error = self.error or error  # the first: that its node cannot be ended either may come of it
         self._on_end()
 
     def _diagnose(self) -> None:
