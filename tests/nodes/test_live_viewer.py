@@ -15,6 +15,7 @@ from twin_node.bag import open_log
 from twin_node.bench.visitors import free_port
 from twin_node.messages import convert
 from twin_node.nodes.live.graph_cameras import GraphCameras
+from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.viewer import make_viewer
 from twin_node.nodes.snapshot import Snapshot
@@ -136,6 +137,27 @@ def test_a_graph_tells_of_its_cameras(graph: Graph, cell_log: Callable[..., Path
     graph.send(wanted[0], Encoded(message.msgtype, message.data, message.types))
     graph.until(lambda: graph.handle("/cameras/cam_front").image is not None)
     assert graph.handle("/cameras/cam_front").image.shape[1] == 32
+
+
+def test_cameras_that_are_calibrated_anew_are_shown_where_they_are_now(graph: Graph) -> None:
+    """The launch was started again with a better rig file: the viewer that ran on showed them where they had been."""
+    cameras = GraphCameras(graph.setup, 32, None)
+    graph.published.append(publisher("/cam_front/image_raw/compressed"))
+    graph.published.append(publisher("/cam_front/camera_info"))
+    seen: list[float] = []
+    for x in (0.0, 0.0, 0.2):
+        moved = np.eye(4)
+        moved[0, 3] = x
+        front = RigCamera("cam_front", 64, 48, np.diag([50.0, 50.0, 1.0]), moved)
+        bus = WireBus(graph.wire, graph.executor, "cameras", kind_of)
+        publish_calibration(bus, Rig((front,)), START)
+        bus.publish("/cam_front/camera_info", convert.camera_info(front, START))
+        for _ in range(3):
+            found = cameras()
+            seen += [] if found is None else [found.assembler.cameras[0].T_base_cam[0, 3]]
+            while graph.executor.step(0.0):
+                pass
+    assert seen == [0.0, 0.2]
 
 
 def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> None:

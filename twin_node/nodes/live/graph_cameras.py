@@ -28,7 +28,7 @@ class GraphCameras:
         self._tree = TransformTree()
         self._infos: dict[str, Message] = {}
         self._asked: set[str] = set()
-        self._known: tuple[str, ...] = ()
+        self._known: tuple[bytes, ...] = ()
         self._is_listening = False
 
     def __call__(self) -> LiveCameras | None:
@@ -42,10 +42,11 @@ class GraphCameras:
                 self._asked.add(camera.info)
                 self._bus.subscribe(camera.info, partial(self._infos.__setitem__, camera.info))
         calibrated = self._calibrated(cameras)
-        names = tuple(camera.name for camera in calibrated)
-        if names == self._known:
+        known = tuple(map(_fingerprint, calibrated))
+        if known == self._known:
             return None
-        self._known = names
+        self._known = known
+        names = {camera.name for camera in calibrated}
         topics = tuple(camera for camera in cameras if camera.name in names)
         return LiveCameras(topics, FrameAssembler(calibrated, self._width))
 
@@ -62,6 +63,12 @@ class GraphCameras:
             return [camera for camera in self._rig.cameras if camera.name in published]
         found = [_camera(camera, self._infos.get(camera.info), self._tree) for camera in cameras]
         return [camera for camera in found if camera is not None]
+
+
+def _fingerprint(camera: RigCamera) -> bytes:
+    """Of a camera and its calibration: a graph that was started again may have cameras of the same names elsewhere."""
+    lens = f"{camera.name} {camera.width} {camera.height} {camera.distortion_model} ".encode()
+    return lens + camera.K.tobytes() + camera.D.tobytes() + camera.T_base_cam.tobytes()
 
 
 def _camera(camera: CameraTopics, info: Any, tree: TransformTree) -> RigCamera | None:
