@@ -108,11 +108,12 @@ class NodeThread:
         """Replaces the node by a fresh one, in its thread."""
         self._orders.offer(self._remake)
 
-    def stop(self) -> None:
-        """Leads the node through deactivate and cleanup, and waits for it."""
+    def stop(self, wait_s: float | None = None) -> bool:
+        """Leads the node through deactivate and cleanup; gives back whether that is done, waits no longer than told."""
         self._executor.stop()
         if self._thread.ident is not None:
-            self._thread.join()
+            self._thread.join(wait_s)
+        return not self._thread.is_alive()
 
     @property
     def is_stuck(self) -> bool:
@@ -232,11 +233,11 @@ class Graph:
         Meanwhile it calls `pulse()` once a second, for as long as none of the nodes hangs. What is raised is a
         `TwinError` only where the node has never been active; else a `NodeFailedError` of the same words.
         """
-        while not self._ended.wait(PULSE_S):
-            if not any(thread.is_stuck for thread in self._threads):
-                pulse()
-        for thread in self._threads:
-            thread.stop()
+        goes_on = (self._ended.wait, *(thread.stop for thread in self._threads))  # a recording ends when it is on disk
+        for is_over in goes_on:
+            while not is_over(PULSE_S):
+                if not any(thread.is_stuck for thread in self._threads):
+                    pulse()
         for thread in self._threads:
             if isinstance(thread.error, TwinError) and thread.has_begun:
                 raise NodeFailedError(str(thread.error)) from thread.error
