@@ -43,6 +43,7 @@ def test_an_interrupt_is_left_to_who_began_it(tmp_path: Path) -> None:
 
 def test_who_hands_over_what_a_hanging_process_does_not_take_goes_on(tmp_path: Path) -> None:
     with echo(tmp_path, patience_s=0.01) as begun:
+        assert begun.is_loaded(wait=True), "to load takes its time"
         os.kill(begun.pid, signal.SIGSTOP)
         with pytest.raises(EndedError, match=r"echo: expected its process \(\d+\) .* hangs, and ended it; .*try again"):
             begun.send(bytes(50_000_000))

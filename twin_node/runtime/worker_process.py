@@ -73,7 +73,8 @@ class WorkerProcess:
         """Begins `python -m MODULE`, which calls `run`.
 
         `name` and `advice`: for the error where it ends by itself. `environment`: what is else in its than here.
-        `patience_s`: how long it may keep whoever hands it something, or waits for what it says; None: for ever.
+        `patience_s`: how long it may keep whoever hands it something, or waits for what it says once it has loaded;
+        None: for ever.
         """
         self._name, self._advice = name, advice
         self.connection, its = Pipe()
@@ -95,8 +96,8 @@ class WorkerProcess:
         return self._process.pid
 
     def is_loaded(self, wait: bool = False) -> bool:
-        """Whether it has said that it is ready; with `wait` once it has. Raises as `receive`."""
-        if not self._is_loaded and (wait or self.connection.poll()):
+        """Whether it has said that it is ready; with `wait` once it has, however long it loads. Raises as `receive`."""
+        if not self._is_loaded and self.connection.poll(None if wait else 0.0):
             self.receive()
             self._is_loaded = True
         return self._is_loaded
