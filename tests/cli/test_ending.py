@@ -7,16 +7,17 @@ import threading
 from collections.abc import Callable, Iterator
 from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
 from twin_node import cli
 from twin_node.bag import LogWriter
-from twin_node.cli import view
+from twin_node.cli import launch, view
 from twin_node.cli.ending import SIGNALS, Terminated, ended_in_order
 from twin_node.messages import message_type
+from twin_node.nodes.launch.launcher import LaunchResult
 
 
 @pytest.fixture(autouse=True)
@@ -127,3 +128,34 @@ def test_output_of_a_closed_stream_goes_nowhere(monkeypatch: pytest.MonkeyPatch,
     with LogWriter(tmp_path / "log.mcap") as log:
         log.write("/a", message_type("std_msgs/msg/String")(data="a"), 0)
     assert cli.main(["info", str(tmp_path / "log.mcap")]) == 0
+
+
+@pytest.mark.parametrize(("before", "interrupts"), [(signal.SIG_DFL, 2), (signal.SIG_IGN, 0)])
+def test_a_launch_whose_terminal_is_closed_is_brought_down_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: signal.Handlers, interrupts: int
+) -> None:
+    """Shell and terminal tell of it, twice: the second one had ended the launcher, and its processes all at once."""
+    told: list[int] = []
+
+    class Hung:
+        def __init__(self, *_: object) -> None:
+            """It has a terminal."""
+
+        def interrupt(self) -> None:
+            told.append(1)
+
+        def run(self) -> LaunchResult:
+            for _ in range(2):
+                signal.raise_signal(signal.SIGHUP)
+            return LaunchResult()
+
+    monkeypatch.setattr("twin_node.nodes.launch.launcher.Launcher", Hung)
+    handled = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signal.signal(signal.SIGHUP, before)
+    try:
+        with ended_in_order():
+            assert launch._run(SimpleNamespace(path=Path("cell.yaml")), tmp_path) == 0
+    finally:
+        for number, handler in handled.items():
+            signal.signal(number, handler)
+    assert len(told) == interrupts

@@ -76,7 +76,8 @@ def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:
     folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{plan.path.stem}"
     print(f"logs: {folder}", flush=True)
     launcher = Launcher(plan, folder, lambda line: print(line, flush=True))
-    for interrupting in (signal.SIGINT, signal.SIGTERM):
+    hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN  # as with nohup
+    for interrupting in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
         signal.signal(interrupting, lambda *_: launcher.interrupt())
     result = launcher.run()
     if result.failed is not None:
