@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from twin_node.model.window_model import WindowModel
 
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """How long a set may take to be followed, s, before its process counts as hanging: a thousand times the usual, for a
 device's code may be compiled meanwhile. What stands would be that of then for good, and nobody would know."""
 LOOK_S = 1.0

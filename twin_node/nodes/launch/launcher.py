@@ -27,7 +27,7 @@ RESTART_WINDOW_S = 30.0
 """Long enough that a fault at start-up, some seconds each time, is told from one a day."""
 HANGS_S = 20.0
 """A process that has not told for so long that it goes on hangs, s; it does once a second, on a busy machine later."""
-LOADS_S = 300.0
+LOADS_S = 900.0
 """So does one whose nodes are not configured by then, s, which else takes seconds."""
 STEP_S = 0.5
 """Longest sleep of the launcher, s: how long an interrupt may go unnoticed."""

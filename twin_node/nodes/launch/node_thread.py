@@ -29,8 +29,9 @@ DIAGNOSTICS_PERIOD_S = 1.0
 
 PULSE_S = 1.0
 """How often a process tells its launcher that it does not hang, s."""
-STUCK_S = 300.0
-"""What a node has not done by then it never will, s: a first set may wait until a device's code is compiled."""
+STUCK_S = 900.0
+"""What a node has not done by then it never will, s: a first set may wait until a
+device's code is compiled, which takes gsplat four minutes on two processors."""
 
 
 class NodeFailedError(Exception):
