@@ -91,6 +91,11 @@ def kernel_threads(count: int) -> Iterator[None]:
         vars(_told).update(before)
 
 
+def keep_to_threads(count: int) -> None:
+    """Calls by this thread take `count` threads from now on, whatever torch is set to."""
+    _told.threads = count
+
+
 def processors() -> int:
     """Those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

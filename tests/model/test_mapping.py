@@ -300,3 +300,15 @@ def test_a_mask_says_the_same_of_points_by_one_index_as_by_two() -> None:
     points = look(camera, rng.uniform(-0.6, 0.6, (500, 3)))
     assert np.array_equal(points.within(mask), mask[points.rows, points.columns])
     assert np.array_equal(points.within(mask[::-1]), mask[::-1][points.rows, points.columns])
+
+
+def test_one_thread_and_two_learn_the_same() -> None:
+    clouds = []
+    for threads in (1, 2):
+        model = WindowModel(ModelParameters(seed=SeedParameters(steps=20)))
+        with kernel_threads(threads):
+            for one in sliding(12, rig()):
+                state = model.update(one)
+        clouds.append(state.gaussians)
+    assert clouds[0].means.tobytes() == clouds[1].means.tobytes()
+    assert clouds[0].rgb.tobytes() == clouds[1].rgb.tobytes()

@@ -13,7 +13,6 @@ from twin_node.forecast.bits import Bits
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.concealing import concealed
-from twin_node.forecast.errands import Errand
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.landing import floors_of
 from twin_node.forecast.margin import RIM_S, Margin
@@ -31,6 +30,7 @@ from twin_node.forecast.things import Whole
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
+from twin_node.side_thread import Errand, SideThread
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,7 @@ class Observer:
         self._velocities = PartVelocities(self.tables)
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
+        self._side_thread = SideThread(patience_s=_PATIENCE_S)
         self._errand: Errand[Unseen] | None = None
         self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
@@ -120,7 +121,7 @@ class Observer:
             self._velocities = PartVelocities(self.tables)
             self._last_centers, self._last = np.zeros((0, 3)), Estimate.unknown(0)
         parts, carved = self._without_specks(found)
-        near = Errand(partial(closest, parts.centers))
+        near = self._side_thread.begin(partial(closest, parts.centers))
         static = self._static.update(state, self._carver)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
@@ -157,7 +158,7 @@ class Observer:
                 Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
             )
 
-        self._errand = Errand(look)
+        self._errand = self._side_thread.begin(look)
         return self._errand
 
     def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -199,5 +200,7 @@ class Observer:
 
 NEAR = 0.12
 """Distance within which a part is taken for the one that was there before, m (one and a half parts)."""
+_PATIENCE_S = 1e-3
+"""Errands take less than this from who asks for them where their thread is scheduled, s."""
 _FAST_SHARE = 0.95
 """Of the parts; single ones may be told wrong."""

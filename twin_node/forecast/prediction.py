@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast.bound import Bound, BoundParameters, Expected
-from twin_node.forecast.errands import Errand
 from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, PARABOLA_S, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
@@ -19,6 +18,7 @@ from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import USUAL_ERROR, Records, Rows
 from twin_node.forecast.swerving import Swerves, swerves_of
 from twin_node.scene import Bool, Float64
+from twin_node.side_thread import Errand
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.points import find_pixels, has_points
 from twin_node.model.rays import Seen, look, pixel_rays
-from twin_node.model.side_thread import Begun, SideThread
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
+from twin_node.side_thread import Errand, SideThread
+from twin_node.splat.library import stay_alone
 
 OCCLUSION = 0.03
 """Share of its depth by which a point may lie behind a surface and still count as seen on it: a radius of a Gaussian at
@@ -98,8 +99,8 @@ class Backgrounds:
         self._changed = self._outdated = False
         self._waiting: list[str] = []
         self._wanted: Sequence[Camera] = ()
-        self._side_thread = SideThread()
-        self._begun: tuple[str, Begun[_Shown]] | None = None
+        self._side_thread = SideThread(stay_alone)
+        self._begun: tuple[str, Errand[_Shown]] | None = None
         """What another thread draws for the next set, and the name of its camera."""
         self.rows = torch.zeros(0, dtype=torch.int64)
         self._ids = torch.zeros(0, dtype=torch.int64)
@@ -174,7 +175,7 @@ class Backgrounds:
         if self._begun is not None:
             name, drawing = self._begun
             self._begun = None
-            self._known[name] = replace(self._known[name], **vars(drawing.end()))
+            self._known[name] = replace(self._known[name], **vars(drawing.result()))
 
     def _renew(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         """Finds and renders all there is, for `cameras` and no other; what is being drawn is out of date."""

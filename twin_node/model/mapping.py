@@ -28,8 +28,9 @@ from twin_node.model.parameters import MapParameters
 from twin_node.model.pruning import Pruner
 from twin_node.model.rays import look
 from twin_node.model.rest import Rest
-from twin_node.model.side_thread import SideThread
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
+from twin_node.side_thread import SideThread
+from twin_node.splat.library import stay_alone
 
 IN_FRONT = 0.995
 """Share of the depth of what stands there already at which a newborn lies, so that it is what shows."""
@@ -84,7 +85,7 @@ class Mapper:
         self._backgrounds = backgrounds
         self._rests: dict[str, Rest] = {}
         self._pruner = Pruner(gaussians, backgrounds)
-        self._side_thread = SideThread()
+        self._side_thread = SideThread(stay_alone)
         self._turn = 0
 
     def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
@@ -171,7 +172,7 @@ class Mapper:
             step = least_squares.Step(self._gaussians, rows, learns.index_select(0, rows))
             looking = self._side_thread.begin(partial(_look, step, goals))
             yield
-            looking.end()
+            looking.result()
             step.take()
             self._backgrounds.repaint()
 

@@ -13,7 +13,15 @@ from functools import cache
 from pathlib import Path
 
 from twin_node import native_build
-from twin_node.native_library import NativeLibrary, best_or_none, is_told, kernel_threads, load, thread_count
+from twin_node.native_library import (
+    NativeLibrary,
+    best_or_none,
+    is_told,
+    keep_to_threads,
+    kernel_threads,
+    load,
+    thread_count,
+)
 from twin_node.splat.errors import SplatError
 
 INTERFACE_VERSION = 13
@@ -240,6 +248,13 @@ def torch_alone() -> Iterator[None]:
             yield
     finally:
         limit_torch(threads)
+
+
+def stay_alone() -> None:
+    """What this thread calls from now on takes no other: neither compiled kernels nor, beside these, torch's loops."""
+    keep_to_threads(1)
+    if kernels() is not None:
+        limit_torch(1)
 
 
 def limit_torch(threads: int) -> None:
