@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bvh_files import ONE_ARM, written
+from made_motions import MADE, write_bvh
 
 from twin_node import resources
 from twin_node.bag.bvh import read_clip
 from twin_node.cell import CellError, load_scenario
 from twin_node.cell.bvh_body import RecordedBody
-from twin_node.cell.made_motions import MADE, write_bvh
 from twin_node.cell.people import HAND_RADIUS, LEG_RADIUS
 from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.shapes import Form

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from twin_node.cell import CellSource, Scenario, SimulatedRig
-from twin_node.cell.renderer import Rendering
+from twin_node.cell.raycast import Rendering
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
 from twin_node.cell.sensor import sense
-from twin_node.cell.truth import back_project
+from twin_node.model.rays import back_project
 from twin_node.robot import forward_kinematics, robot_mask
 from twin_node.scene import FrameSet
 
@@ -124,7 +124,7 @@ def test_depth_agrees_between_cameras(small: Scenario) -> None:
     rig = SimulatedRig(small)
     stamp = small.start_ns
     views = [rig.see(index, stamp) for index in range(3)]
-    points = back_project(rig.cameras[0], views[0].depth, np.ones_like(views[0].depth, dtype=bool))
+    points = back_project(rig.cameras[0], views[0].depth)[views[0].depth > 0]
     for camera, view in zip(rig.cameras[1:], views[1:], strict=True):
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         front = local[local[:, 2] > 0.1]

@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from twin_node.cell import SimulatedRig
 from twin_node.cell.shapes import touched_voxels
 from twin_node.cell.solids import Solid
-from twin_node.cell.truth import back_project
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.geometry import inverse_pose, transform
+from twin_node.model.rays import back_project
 from twin_node.scene import Bool, Float32, Float64, FrameSet, Grid, View
 
 SEEN_PX = 3
@@ -104,10 +104,8 @@ class Sightings:
 
     def _glance(self, view: View) -> _Glance:
         seen = self._simulated.see(self._rows[view.camera.name], view.stamp)
-        surfaces = {
-            thing: back_project(view.camera, seen.depth, seen.owners == thing).astype(np.float32)
-            for thing in self._world.moving_owners
-        }
+        points = back_project(view.camera, seen.depth).astype(np.float32)
+        surfaces = {thing: points[seen.owners == thing] for thing in self._world.moving_owners}
         return _Glance(view.stamp, surfaces)
 
     def _has_moved(self, thing: int, since: int, now: int) -> bool:

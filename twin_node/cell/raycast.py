@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.cell.renderer import NOTHING, Rendering
 from twin_node.cell.shapes import Placed, normals, ray_entries
 from twin_node.cell.solids import Solid
 from twin_node.cell.textures import colors
 from twin_node.geometry import project
-from twin_node.scene import Bool, Camera, Float32
+from twin_node.scene import Bool, Camera, Float32, UInt8
 
 LIGHTS = ((0.45, (0.35, -0.45, 0.82)), (0.25, (-0.55, 0.6, 0.58)))
 """Strength and direction towards each lamp in `base_link`: a key light above the front right, a fill at the back."""
@@ -28,6 +27,26 @@ BACKDROP = (178, 184, 190)
 
 TEXTURE_DEPTH = 0.002
 """m under the surface where solid textures are read, so that faces that lie on a pattern's joint do not flicker."""
+
+NOTHING = -1
+"""Owner of the pixels that show no solid."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A noiseless image."""
+
+    rgb: UInt8
+    """[H, W, 3]."""
+    depth: Float32
+    """[H, W] metres along the optical axis; 0 where no solid is."""
+    owners: NDArray[np.int16]
+    """[H, W] `Solid.owner` of the solid in view, `NOTHING` for none."""
+
+    def shows(self, owners: tuple[int, ...]) -> Bool:
+        """[H, W] True on the solids of these owners."""
+        mask: Bool = np.isin(self.owners, owners)
+        return mask
 
 
 @dataclass(frozen=True)
@@ -53,7 +72,7 @@ class _Canvas:
 
 
 class RayCaster:
-    """Renders one camera's view of a cell; see `renderer.Renderer`."""
+    """Renders one camera's view of a cell: fixed furniture, and what moves in front of it."""
 
     def __init__(self, camera: Camera, furniture: tuple[Solid, ...]) -> None:
         self.camera = camera
@@ -76,14 +95,6 @@ class RayCaster:
         rgb = np.clip(canvas.rgb + 0.5, 0, 255).astype(np.uint8)
         depth = np.where(np.isfinite(canvas.depth), canvas.depth, np.float32(0))
         return Rendering(np.ascontiguousarray(np.moveaxis(rgb, 0, -1)), depth, canvas.owners)
-
-    def outline(self, solids: tuple[Solid, ...]) -> Bool:
-        """[H, W] True where these solids would be seen if nothing else were there."""
-        canvas = self._empty_canvas()
-        for solid in solids:
-            self._draw(solid, canvas)
-        mask: Bool = canvas.owners != NOTHING
-        return mask
 
     def _empty_canvas(self) -> _Canvas:
         size = (self.camera.height, self.camera.width)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.cell.renderer import Rendering
+from twin_node.cell.raycast import Rendering
 from twin_node.cell.scenario import Sensing
 from twin_node.scene import Bool, Float32, UInt8
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.cell.raycast import RayCaster
-from twin_node.cell.renderer import Renderer, Rendering
+from twin_node.cell.raycast import RayCaster, Rendering
 from twin_node.cell.rig import make_rig, pinhole
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Scenario
 from twin_node.cell.sensor import RawImage, sense
@@ -46,10 +45,10 @@ class SimulatedRig:
         self.world = World(scenario)
         self.rig: Rig = make_rig(scenario)
         self.cameras: tuple[Camera, ...] = tuple(pinhole(camera) for camera in self.rig.cameras)
-        self.renderers: tuple[Renderer, ...] = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
+        self.renderers = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
         self._stamps = self._draw_stamps()
         self._arrivals = self._draw_arrivals()
-        self._bumped: dict[Fault, Renderer] = {}
+        self._bumped: dict[Fault, RayCaster] = {}
         self._newest: dict[int, tuple[int, Rendering]] = {}
         """Per camera, what was asked for last, and when it was seen, ns."""
 
@@ -112,7 +111,7 @@ class SimulatedRig:
         rgb: UInt8 = np.clip(gain * mean + 0.5, 0, 255).astype(np.uint8)
         return replace(sharp, rgb=rgb)
 
-    def _renderer_of(self, fault: Fault) -> Renderer:
+    def _renderer_of(self, fault: Fault) -> RayCaster:
         """That of a bumped camera, made once."""
         if fault not in self._bumped:
             from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
@@ -123,7 +122,7 @@ class SimulatedRig:
             self._bumped[fault] = RayCaster(replace(camera, T_base_cam=camera.T_base_cam @ turn), self.world.static)
         return self._bumped[fault]
 
-    def _shown(self, renderer: Renderer, stamp: int) -> Rendering:
+    def _shown(self, renderer: RayCaster, stamp: int) -> Rendering:
         return renderer.render((*self.world.moving(stamp), *self.world.arm_solids(stamp)))
 
     def _first_in(self, fault: Fault, exposure: Exposure) -> Exposure:

@@ -1,4 +1,4 @@
-"""What is exactly so in the simulated cell: moving voxels, tracks, masks and visibility at any time."""
+"""What is exactly so in the simulated cell: moving voxels, tracks and masks at any time."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from twin_node.cell.shapes import touched_voxels
 from twin_node.cell.simulator import SimulatedRig
 from twin_node.cell.solids import Solid
-from twin_node.geometry import transform
-from twin_node.scene import Bool, Camera, Float32, Float64, Grid, Occupancy, OccupancyLayer, UInt32
+from twin_node.scene import Bool, Float64, Grid, Occupancy, OccupancyLayer, UInt32
 
 DIFFERENCE_NS = 500_000
 """Half the step of the central difference that gives speeds, ns."""
@@ -46,10 +45,6 @@ class CellTruth:
         """The same for the arm."""
         return _touched(self._world.arm_solids(stamp), grid)
 
-    def static_voxels(self, grid: Grid) -> UInt32:
-        """The same for the furniture."""
-        return _touched(self._world.static, grid)
-
     def occupancy(self, stamp: int) -> Occupancy:
         """The moving voxels of `self.grid` at a stamp as one certain layer; static and unknown space are left empty."""
         nothing = OccupancyLayer(0, np.empty(0, np.uint32), np.empty(0, np.uint8))
@@ -79,44 +74,11 @@ class CellTruth:
         owner = len(self._world.names) - 1
         return self._simulated.see(camera, stamp).shows((owner,) if self._world.arm else ())
 
-    def seen_voxels(self, grid: Grid, stamp: int) -> UInt32:
-        """Those moving voxels, increasing, that hold a point of a moving surface in view of some camera."""
-        seen = []
-        for index, camera in enumerate(self._simulated.cameras):
-            rendering = self._simulated.see(index, stamp)
-            mask = rendering.shows(self._world.moving_owners)
-            seen.append(grid.indices(back_project(camera, rendering.depth, mask)))
-        indices = np.unique(np.concatenate(seen))
-        return np.intersect1d(indices[indices >= 0].astype(np.uint32), self.moving_voxels(grid, stamp))
-
-    def visibility(self, stamp: int) -> Float64:
-        """[cameras, moving] share of its whole outline in the image that a camera sees of each moving body or person.
-
-        In the order of `World.moving_owners`; zero where the body is out of the image.
-        """
-        moving = self._world.moving(stamp)
-        shares = np.zeros((len(self._simulated.cameras), len(self._world.moving_owners)))
-        for row, renderer in enumerate(self._simulated.renderers):
-            seen = self._simulated.see(row, stamp).owners
-            for column, owner in enumerate(self._world.moving_owners):
-                alone = renderer.outline(tuple(solid for solid in moving if solid.owner == owner))
-                shares[row, column] = (seen == owner).sum() / max(int(alone.sum()), 1)
-        return shares
-
 
 def workspace_grid(workspace: Float64, voxel_size: float) -> Grid:
     """The smallest grid of whole voxels over a box [2, 3] (lower and upper corner, m)."""
     dims = np.ceil((workspace[1] - workspace[0]) / voxel_size - 1e-6).astype(int)
     return Grid(workspace[0].astype(np.float64), voxel_size, (int(dims[0]), int(dims[1]), int(dims[2])))
-
-
-def back_project(camera: Camera, depth: Float32, mask: Bool) -> Float64:
-    """Points [n, 3] in `base_link` of the masked pixels that have a depth [H, W] in metres."""
-    v, u = np.nonzero(mask & (depth > 0))
-    z = depth[v, u].astype(np.float64)
-    x = (u + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * z
-    y = (v + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * z
-    return transform(camera.T_base_cam, np.stack([x, y, z], axis=1))
 
 
 def _touched(solids: tuple[Solid, ...], grid: Grid) -> UInt32:
