@@ -180,6 +180,8 @@ def test_what_comes_after_the_arm_has_stopped_does_not_count(ur5e_checker: ArmCo
     assert decided(ur5e_checker, now_far_away, late).speed_fraction == 1.0
     in_time = replace(close, valid_ms=(20, 200))
     assert decided(ur5e_checker, in_time).speed_fraction == 0.0
+    as_it_brakes = replace(close, valid_ms=(int(stop_ms) - 5, 200))  # a little slower it stands by then
+    assert 0.8 < decided(ur5e_checker, now_far_away, as_it_brakes).speed_fraction < 1.0
 
 
 def test_an_earlier_layer_ends_and_the_last_goes_on(ur5e_checker: ArmCollisionChecker) -> None:
@@ -194,6 +196,12 @@ def test_an_earlier_layer_ends_and_the_last_goes_on(ur5e_checker: ArmCollisionCh
     after = decide(ur5e_checker, ahead(TURNING, NOW + 60 * MS), NOW + 60 * MS, REACTION_S)
     assert after.speed_fraction == 1.0
     assert after.obstacle_id != 100
+
+
+def test_where_a_later_layer_takes_over_an_earlier_one_does_not_grow(ur5e_checker: ArmCollisionChecker) -> None:
+    drawn_back = beside_the_tool(ur5e_checker, 0.42, valid_ms=(0, 50))
+    assert decided(ur5e_checker, drawn_back).speed_fraction < 1.0
+    assert decided(ur5e_checker, drawn_back, Thing((0.0, -5.0, 0.5), valid_ms=(50, 200))).speed_fraction == 1.0
 
 
 def test_obstacles_of_one_layer_may_end_some_milliseconds_apart(ur5e_checker: ArmCollisionChecker) -> None:
@@ -319,13 +327,13 @@ def test_a_law_that_gives_no_number_lets_nothing_move(ur5e_checker: ArmCollision
 
 
 @pytest.mark.parametrize("left_m", [0.02, 0.1, 0.28])
-@pytest.mark.parametrize("early_ms", [30, 57])
+@pytest.mark.parametrize("early_ms", [30, 90])
 def test_what_a_forecast_holds_first_is_there_before_it_begins(
     ur5e_checker: ArmCollisionChecker, left_m: float, early_ms: int
 ) -> None:
     at_once = beside_the_tool(ur5e_checker, left_m)
     slow = 0.05 * TURNING  # stands before the forecast begins, so soon that nothing would come in time
-    for velocity in (TURNING, slow):
+    for velocity in (TURNING, slow, -TURNING):
         later = replace(at_once, valid_ms=(early_ms, 200 + early_ms))
         expected = decided(ur5e_checker, at_once, velocity=velocity)
         found = decided(ur5e_checker, later, velocity=velocity)

@@ -50,8 +50,9 @@ def test_rows_are_met_and_joined() -> None:
 def test_beyond_its_last_row_a_table_counts_in_proportion_among_others_too(speed: float) -> None:
     slow = StoppingTable(np.array([1.0]), np.array([[0.5]]), np.array([[0.3]]))
     quick = StoppingTable(np.array([1.0, 4.0]), np.array([[0.1], [0.4]]), np.array([[0.05], [0.8]]))
-    both = slow.slower_of(quick)
-    assert both.stop(np.array([speed])).duration_s == pytest.approx(slow.stop(np.array([speed])).duration_s)
+    both, at = slow.slower_of(quick), np.array([speed])
+    assert both.stop(at).duration_s == pytest.approx(slow.stop(at).duration_s)
+    assert both.stop(at).travel_s == pytest.approx(max(slow.stop(at).travel_s, quick.stop(at).travel_s))
 
 
 def test_wrong_tables_are_refused() -> None:

@@ -98,6 +98,22 @@ def test_without_a_record_the_reachable_set_stands_in() -> None:
     assert old < young
 
 
+def test_how_far_experts_are_apart_is_what_the_cues_say() -> None:
+    apart = np.array([0.0, 0.04, 0.3])
+    np.testing.assert_allclose(Bound().expected(like(apart)).spread, apart, atol=1e-12)
+
+
+def test_however_long_nothing_is_missed_no_more_may_be_missed_than_five_times_the_share_aimed_at() -> None:
+    """So many do miss then, until the level has come down again: a tenth must still be held by nine of ten."""
+    rng, bound = np.random.default_rng(3), Bound(BoundParameters(coverage=0.98, correction=10.0))
+    errors = np.zeros(0)
+    for step in range(120):
+        errors = rng.uniform(0.0, 0.2, 40)
+        bound.observe(step * PERIOD, like(np.full(40, 0.1)), errors, np.ones(40), PERIOD)
+    radii = bound.radii(like(np.full(40, 0.1)), np.ones(40), HORIZON)
+    assert 0.85 < np.mean(rng.uniform(0.0, 0.2, 2000) < radii[0]) < 0.97
+
+
 def test_no_radius_exceeds_the_largest() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 5.0))
@@ -136,6 +152,24 @@ def test_forecasts_made_before_a_surprise_do_not_raise_the_factor_again_and_agai
     assert control.factor < 1.1 * first
     control.observe(0.5, 0.5, first, 0.25)
     assert control.factor > 1.5 * first
+
+
+def test_a_forecast_that_was_wide_enough_does_not_keep_the_factor_up() -> None:
+    control = CoverageControl(BoundParameters())
+    control.observe(0.5, 0.5, control.factor, 0.25)
+    wide = control.factor
+    for _ in range(40):
+        control.observe(1.0, 1.0, wide, 0.25)
+    assert control.factor < 0.5 * wide
+
+
+def test_after_a_pause_a_miss_counts_as_one_of_a_horizon() -> None:
+    factors = []
+    for elapsed in (1.0, 50.0):
+        control = CoverageControl(BoundParameters())
+        control.observe(0.5, 0.5, control.factor, elapsed)
+        factors.append(control.factor)
+    assert factors[0] == factors[1]
 
 
 def test_what_begins_something_new_is_not_made_up_for_by_larger_radii_of_all_else() -> None:

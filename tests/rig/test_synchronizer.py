@@ -114,11 +114,12 @@ def test_a_complete_set_that_awaits_its_proof_goes_at_the_deadline() -> None:
     assert not any(counts.silent for counts in sync.report.inputs)
 
 
-def test_time_does_not_go_back_when_the_camera_with_the_newest_image_falls_silent() -> None:
+@pytest.mark.parametrize("newest_ms", [20, 40])
+def test_time_goes_on_when_the_camera_with_the_newest_image_falls_silent(newest_ms: int) -> None:
     sync = ApproximateTimeSynchronizer[None](["a", "b", "c"], SyncParameters(deadline_ns=100 * MS))
-    for name, t in (("b", 0), ("a", 10), ("a", 20), ("c", 40)):
+    for name, t in (("b", 0), ("a", 10), ("a", 20), ("c", newest_ms)):
         assert sync.add(name, t * MS, None, now=t * MS) == []
-    assert stamps_of(sync.poll(200 * MS)) == [[10 * MS, 0, 40 * MS]]
+    assert stamps_of(sync.poll(200 * MS)) == [[10 * MS, 0, newest_ms * MS]]
     assert sync.report.inputs[0].unmatched == 1
 
 
@@ -161,6 +162,25 @@ def test_a_camera_of_a_slower_link_that_comes_back_is_waited_for_again(lag_ms: i
         complete += [None not in s.members for s in sync.add(name, k * 33 * MS, None, now)]
     assert complete[20:25] == [lag_ms < 100] * 5
     assert complete[-30:] == [returns] * 30
+
+
+def test_who_comes_back_is_waited_for_from_the_first_image_of_a_set_on() -> None:
+    """Not from that of the slowest of the others: their sets would miss the deadline for it, every other one."""
+    sync = ApproximateTimeSynchronizer[None](["a", "slow", "slower"], SyncParameters(deadline_ns=100 * MS))
+    arrivals = [((k * 33 + lag) * MS, name, k) for k in range(90) for name, lag in (("a", 0), ("slow", 60))]
+    arrivals += [((k * 33 + 95) * MS, "slower", k) for k in range(90) if not 30 <= k < 36]
+    complete = []
+    for now, name, k in sorted(arrivals):
+        complete += [None not in s.members for s in sync.add(name, k * 33 * MS, None, now)]
+    assert complete[20:25] == [True] * 5
+    assert complete[-30:] == [False] * 30
+
+
+def test_of_two_sets_as_narrow_as_each_other_the_first_goes() -> None:
+    sync = ApproximateTimeSynchronizer[None](["a", "b"], replace(ROS, age_penalty=0.0))
+    arrivals = [("a", 0), ("b", 10 * MS), ("a", 20 * MS), ("b", 40 * MS)]
+    sets = [ready for name, t in arrivals for ready in sync.add(name, t, None, now=t)]
+    assert stamps_of(sets)[0] == [0, 10 * MS]
 
 
 @pytest.mark.parametrize("behind_ms", [990_000, 300])

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from twin_node.runtime import clock as clock_module
-from twin_node.runtime.clock import FollowedClock, SystemClock
+from twin_node.runtime.clock import FollowedClock, PacedClock, SystemClock
 
 MS = 1_000_000
 
@@ -25,6 +25,16 @@ def steady(monkeypatch: pytest.MonkeyPatch) -> Steady:
     steady = Steady()
     monkeypatch.setattr(clock_module.time, "monotonic_ns", steady.monotonic_ns)
     return steady
+
+
+def test_a_log_runs_at_its_rate_once_it_is_started(steady: Steady) -> None:
+    clock = PacedClock(1_000 * MS, 4.0)
+    steady.now += 30 * MS
+    assert clock.now() == 1_000 * MS
+    clock.start()
+    steady.now += 30 * MS
+    assert clock.now() == 1_120 * MS
+    assert clock.seconds_until(1_520 * MS) == pytest.approx(0.1)
 
 
 def test_time_goes_on_at_the_pace_of_the_log_and_stands_with_it(steady: Steady) -> None:
