@@ -53,7 +53,7 @@ def test_what_stands_still_is_refined_where_no_set_waits(waits: bool, expected: 
     for index in range(8):
         bus.publish(TRUSTED_FRAMES, frames(index))
         node.follow()
-        node.rest(lambda: not waits)
+        node.work_between_sets(lambda: not waits)
     assert model.done == expected
     assert order == [f"{index} published after {index}" for index in range(8)]
 
@@ -85,13 +85,13 @@ def test_where_sets_wait_every_other_one_is_followed() -> None:
     bus.subscribe(STATE, lambda state: followed.append(state.stamp))
     for index in range(8):
         bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest(lambda: False)
+        node.work_between_sets(lambda: False)
     assert seen == list(range(8))
     assert followed == [1, 3, 5, 7]
     assert node.followed == 4
     for index in range(8, 12):
         bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest(lambda: True)
+        node.work_between_sets(lambda: True)
     assert followed[4:] == [8, 9, 10, 11]
 
 
@@ -105,7 +105,7 @@ def test_a_live_set_does_not_wait_until_the_one_before_is_followed() -> None:
         bus.subscribe(topic, lambda state, topic=topic: told.append((topic, state.stamp)))
     for index in range(3):
         bus.publish(TRUSTED_FRAMES, frames(index))
-    node.rest()
+    node.work_between_sets()
     assert told == [(SEEN, 0), (SEEN, 1), (SEEN, 2), (STATE, 2)]
 
 
@@ -123,7 +123,7 @@ def test_what_a_set_shows_is_out_before_the_model_follows_it() -> None:
     assert told[-1] == (SEEN, 2, 1)
     node.follow()
     node.follow()
-    node.rest()
+    node.work_between_sets()
     assert told == [(SEEN, 0, 0), (STATE, 0, 0), (SEEN, 1, 0), (STATE, 1, 1), (SEEN, 2, 1), (STATE, 2, 2)]
     assert model.done == ["refine"]
 
@@ -238,7 +238,7 @@ class LiveNode:
         """Sends sets, and rests after each."""
         for index in indices:
             self.bus.publish(TRUSTED_FRAMES, frames(index))
-            self.node.rest()
+            self.node.work_between_sets()
 
 
 @pytest.fixture
@@ -272,7 +272,7 @@ def test_what_another_process_has_followed_goes_out_when_the_arm_has_been_told(p
     live.bus.publish(TRUSTED_FRAMES, frames(4))
     assert live.told == [(SEEN, 1, 0), (SEEN, 2, 0), (SEEN, 3, 0), (SEEN, 4, 1)]
     live.told.clear()
-    live.node.rest()
+    live.node.work_between_sets()
     assert live.told == [(STATE, 1, 1)]
     assert live.node.parameters_count == process.parameters_count
     assert live.model.done == ["refine"], "the process does"
@@ -296,11 +296,11 @@ def test_who_settles_has_every_later_set_followed_elsewhere(process: InTurn) -> 
     node = ModelNode(bus, SteppedClock(), Watched(), is_live=True, own_process=True)
     node.configure()
     node.activate()
-    node.settle()
+    node.await_process()
     assert not process.has_model, "there is no model before the first set"
     bus.publish(TRUSTED_FRAMES, frames(0))
     node.follow()
-    node.settle()
+    node.await_process()
     assert process.has_model
 
 

@@ -89,7 +89,7 @@ def test_the_model_begins_when_its_size_is_known(monkeypatch: pytest.MonkeyPatch
     node.activate()
     for index in range(4):
         bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest()
+        node.work_between_sets()
     assert [state.stamp for state in states] == [2, 3]
     assert states[0].frames.views[0].camera.width == SIZES["tiny"].width
     assert states[0].frames.views[0].camera is states[1].frames.views[0].camera
@@ -120,7 +120,7 @@ def test_the_models_process_is_begun_once_its_size_is_known(monkeypatch: pytest.
     node.activate()
     for index in range(4):
         bus.publish(TRUSTED_FRAMES, frames(index))
-        node.rest()
+        node.work_between_sets()
     assert begun == [1], "sizes are not timed beside what loads"
 
 

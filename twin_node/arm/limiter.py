@@ -83,7 +83,7 @@ class SpeedLimiter:
         self._stamp = now
         return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
 
-    def rest(self) -> None:
+    def stand(self) -> None:
         """The arm stands, whatever it was told: from now on its speed rises from there."""
         self._fraction = 0.0
 

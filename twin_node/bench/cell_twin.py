@@ -249,7 +249,7 @@ class TwinPerception:
         self._clock.begin(now + self._decoding_ns + TRANSPORT_NS)
         self._working.publish(FRAMES, frames)
         known = self._clock.now()
-        self._chain.model_node.rest(self._has_time)
+        self._chain.model_node.work_between_sets(self._has_time)
         free = self._clock.end()
         if not self._is_built:
             self._is_built = True

@@ -163,7 +163,7 @@ def follow_live(
             for _, frames in bridge.batches():
                 followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
                 follow(frames)
-                node.rest(lambda: not bridge.is_waiting)
+                node.work_between_sets(lambda: not bridge.is_waiting)
                 followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
                 followed.count(states[-1])
                 _keep(spool, Tick(frames, states[-1], published=published[-1]))

@@ -33,8 +33,8 @@ class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set.
 
     What a set shows goes out before the model has followed it, for that takes twice as long: the arm waits for no more
-    than the forecast of it. `follow` does the rest, and `rest` what can wait; with `own_process` another process does
-    both, as soon as it has loaded, and the model here only looks.
+    than the forecast of it. `work_between_sets` does that afterwards, and what can wait; with `own_process` another
+    process does both, as soon as it has loaded, and the model here only looks.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class ModelNode(Node):
         if self._own_process:
             self._process = ModelProcess()
 
-    def rest(self, proceed: Proceed = unhurried) -> None:
+    def work_between_sets(self, proceed: Proceed = unhurried) -> None:
         """Follows the newest set where that has not been done, and uses the time until the next for what it shows anew
         and to refine what stands still.
 
@@ -183,7 +183,7 @@ class ModelNode(Node):
         if self._process is not None and self.followed and self._process.is_loaded():
             self._process.take(self.model)
 
-    def settle(self) -> None:
+    def await_process(self) -> None:
         """Waits until the process of its own follows the sets that come from now on, where there is to be one; called
         after the first set by who does not want that to happen while later ones come."""
         if self._process is not None and self.followed and self._process.is_loaded(wait=True):

@@ -161,7 +161,7 @@ class _Engine:
             first = self._first_set(order, working)
             working.publish(FRAMES, first)
             chain.model_node.follow()
-            chain.model_node.settle()
+            chain.model_node.await_process()
 
             def hand_over(frames: FrameSet) -> None:
                 self._progress((frames.stamp - self._session.span.start_ns) / 1e9)
@@ -176,7 +176,7 @@ class _Engine:
                     for topic, message in messages:
                         working.publish(topic, message)
                     working.publish(FRAMES, frames)
-                    chain.model_node.rest(lambda: not bridge.is_waiting)
+                    chain.model_node.work_between_sets(lambda: not bridge.is_waiting)
             finally:
                 bridge.close()
         seconds = self._session.span.seconds / rate

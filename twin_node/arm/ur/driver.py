@@ -112,7 +112,7 @@ class UrDriver:
         is_paused = self._sample is not None and self._sample.is_paused
         if self._slider is None or not is_paused or self._foresight.is_known or told.speed_fraction == 0:
             return told
-        self._limiter.rest()
+        self._limiter.stand()
         reason = "stopped: the robot's program is paused, and this driver has not seen how it goes on; press play"
         return replace(told, speed_fraction=0.0, reason=reason)
 

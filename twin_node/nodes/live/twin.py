@@ -50,4 +50,4 @@ class TwinNode(Node):
         """All that comes of a set is out: what is left of its time is the model's."""
         self._latency.start()
         waiting = (FRAMES, TRUSTED_FRAMES, SEEN)
-        self._chain.model_node.rest(lambda: not any(self._bus.is_waiting(topic) for topic in waiting))
+        self._chain.model_node.work_between_sets(lambda: not any(self._bus.is_waiting(topic) for topic in waiting))
