@@ -99,3 +99,16 @@ def test_horizons_that_become_shorter_do_not_spoil_what_was_learnt() -> None:
         assert np.isfinite(prediction.displacements).all()
         assert 0 < prediction.radii[-1, 0] < np.inf
     assert (predictor._records.squared >= 0).all()
+
+
+def test_what_turns_back_has_begun_something_new_though_it_was_foreseen() -> None:
+    """One node goes to and fro, one rests; both have long been known, and what they do now was forecast."""
+    tracks, predictor, turn = Tracks(), Predictor(turns=True), 30
+    for sample in range(turn + 4):
+        ahead = sample <= turn
+        places = np.array([[2.0 / 30 * min(sample, 2 * turn - sample), 0.0, 0.5], [0.0, 1.0, 0.5]])
+        succession = tracks.follow(sample / 30, places, np.array([[2.0 if ahead else -2.0, 0, 0], [0, 0, 0]]))
+        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+    predictor.vouch(np.ones(2, np.bool_))
+    assert predictor.predict(HORIZONS).turning.tolist() == [True, False]
+    assert predictor.unstartled_since(turn / 30 - 0.05).tolist() == [False, True]
