@@ -107,7 +107,7 @@ def test_room_is_made_for_what_moves_beside_the_arm() -> None:
         nobody = torch.full((count,), -1)
         store.spawn(Newborns(*parts, torch.rand(count), torch.rand(count, 3), tier, nobody), 0)
     assert store.count(Tier.ROBOT) > wanted
-    model._begun.tracker._make_room(wanted)
+    model._begun.tracker._population._make_room(wanted)
     assert int((~store.alive).sum()) >= wanted
 
 

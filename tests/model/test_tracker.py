@@ -10,8 +10,8 @@ import torch
 from model_scenes import TICK_NS, block, frames, joined, rig, seen, sliding, table
 
 from twin_node.model import BirthParameters, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.population import MOVING_JUDGED_S, Population
 from twin_node.model.quality import moving_pixels, psnr, squared_error
-from twin_node.model.tracker import MOVING_JUDGED_S, Tracker
 from twin_node.scene import FrameSet, Tier
 
 CAMERAS, SMALL = rig(), rig(48, 36)
@@ -27,10 +27,10 @@ def following() -> WindowModel:
     return model
 
 
-def tracker_of(model: WindowModel) -> Tracker:
+def population_of(model: WindowModel) -> Population:
     """That of a model which has begun."""
     assert model._begun is not None
-    return model._begun.tracker
+    return model._begun.tracker._population
 
 
 def staggered(index: int, speed: float, late_ns: int) -> FrameSet:
@@ -61,15 +61,15 @@ def test_each_image_is_followed_at_its_own_time() -> None:
 
 def test_who_matters_least_to_the_images_makes_room(following: WindowModel) -> None:
     model = copy.deepcopy(following)
-    tracker, gaussians = tracker_of(model), model._gaussians
+    population, gaussians = population_of(model), model._gaussians
     rows = gaussians.moving_rows
     influence = gaussians.influence(rows)
-    tracker._make_room(tracker._room().left + 5)
+    population._make_room(population._room().left + 5)
     assert len(rows) > 20
     gone = ~gaussians.alive[rows]
     assert int(gone.sum()) == 5
     assert influence[gone].max() <= influence[~gone].min()
-    tracker._make_room(tracker._room().left - 5)
+    population._make_room(population._room().left - 5)
     assert len(gaussians.moving_rows) == len(rows) - 5, "where there is room nobody goes"
 
 

@@ -10,8 +10,8 @@ import torch
 from model_scenes import BLOCK_SPEED, block, frames, joined, rig, seen, sliding, table
 
 from twin_node.model import BirthParameters, ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model.population import TURNOVER
 from twin_node.model.quality import moving_pixels, psnr, squared_error
-from twin_node.model.tracker import TURNOVER
 from twin_node.scene import Tier, TwinState
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
