@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin_node.model.camera_mask import CameraMask, MovingMaskParameters
+from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.scene import Bool, Camera, View
 
@@ -56,7 +56,7 @@ def arm(index: int, sees_arm: bool) -> Bool | None:
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int, depth: bool, sees_arm: bool) -> None:
     views = scene(seed, depth)
-    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    plain, compiled = (CameraMask(views[0]) for _ in range(2))
     marked = 0
     for index, view in enumerate(views):
         robot = arm(index, sees_arm)
@@ -76,7 +76,7 @@ def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int
 
 def test_wide_gaps_are_closed_as_in_numpy() -> None:
     views = [replace(view, rgb=np.repeat(np.repeat(view.rgb, 6, 0), 6, 1)) for view in scene(2, False)[:14]]
-    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    plain, compiled = (CameraMask(views[0]) for _ in range(2))
     assert compiled.closing.shape[0] > 12
     for view in views:
         expected, (found,) = plain.update(view, None), update_compiled([compiled], [view], [None])
@@ -91,7 +91,7 @@ def test_wide_gaps_are_closed_as_in_numpy() -> None:
 def test_lines_of_one_and_two_pixels_are_images_too(cut: tuple[slice, slice]) -> None:
     """What lies beyond a side is mirrored: of a line of one pixel that is the pixel itself."""
     views = [replace(view, rgb=np.ascontiguousarray(view.rgb[cut])) for view in scene(1, False)]
-    plain, compiled = (CameraMask(views[0], MovingMaskParameters()) for _ in range(2))
+    plain, compiled = (CameraMask(views[0]) for _ in range(2))
     uncovered = 0
     for view in views:
         expected, (found,) = plain.update(view, None), update_compiled([compiled], [view], [None])
@@ -104,7 +104,7 @@ def test_lines_of_one_and_two_pixels_are_images_too(cut: tuple[slice, slice]) ->
 
 def test_several_cameras_at_once_are_those_one_by_one() -> None:
     scenes = [scene(seed, False) for seed in (3, 4, 5)]
-    together, alone = ([CameraMask(views[0], MovingMaskParameters()) for views in scenes] for _ in range(2))
+    together, alone = ([CameraMask(views[0]) for views in scenes] for _ in range(2))
     for views in zip(*scenes, strict=True):
         at_once = update_compiled(together, views, [None] * 3)
         one_by_one = [update_compiled([c], [v], [None])[0] for c, v in zip(alone, views, strict=True)]
@@ -115,6 +115,5 @@ def test_images_too_large_for_the_kernels_are_left_to_numpy() -> None:
     small, large = (np.zeros((height, 40, 3), np.uint8) for height in (90, 1200))
     camera = Camera("cam", 2000, 1200, np.eye(3), np.eye(4))
     wide = np.zeros((1200, 1300, 3), np.uint8)
-    rules = MovingMaskParameters()
-    assert can_compile([CameraMask(View(camera, 0, rgb), rules) for rgb in (small, large)])
-    assert not can_compile([CameraMask(View(camera, 0, rgb), rules) for rgb in (small, wide)])
+    assert can_compile([CameraMask(View(camera, 0, rgb)) for rgb in (small, large)])
+    assert not can_compile([CameraMask(View(camera, 0, rgb)) for rgb in (small, wide)])

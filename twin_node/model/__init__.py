@@ -19,7 +19,6 @@ from twin_node.model.parameters import (
 )
 
 if TYPE_CHECKING:
-    from twin_node.model.camera_mask import MovingMaskParameters
     from twin_node.model.moving_mask import MovingMask
     from twin_node.model.window_model import ModelImage, WindowModel
 
@@ -30,7 +29,6 @@ __all__ = [
     "ModelImage",
     "ModelParameters",
     "MovingMask",
-    "MovingMaskParameters",
     "SeedParameters",
     "TrackParameters",
     "WindowModel",
@@ -39,7 +37,6 @@ __all__ = [
 _MODULES = {
     "ModelImage": "window_model",
     "MovingMask": "moving_mask",
-    "MovingMaskParameters": "camera_mask",
     "WindowModel": "window_model",
 }
 """Where the others are."""

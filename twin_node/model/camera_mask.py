@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,51 +11,44 @@ from scipy.ndimage import uniform_filter
 
 from twin_node.scene import Bool, Float32, UInt8, View
 
+CHANGE_SIGMAS = 6.0
+"""A pixel has changed when it differs by this many times the image's own noise (1 sigma, measured)."""
+CHANGE_LEVELS = 9.0
+"""Smallest difference that counts, in 8-bit levels: below it lie compression artefacts."""
+BASELINE_NS = 100_000_000
+"""An image is compared with one this much older: slow limbs move a pixel in 100 ms, not between two frames."""
+SETTLE_NS = 120_000_000
+"""A pixel still for this long may be recognised as uncovered background."""
+SMALLEST_AREA = 6e-4
+"""Smallest moving region as a share of the image; less is noise."""
+GAP = 0.03
+"""Gaps inside a moving thing up to this share of the image's shorter side are closed."""
+SHADOW_DARKEST = 0.7
+"""A cast shadow keeps at least this share of the background's brightness (and its colour)."""
+REFLECTION_BRIGHTEST = 1.2
+"""A reflected glow adds at most up to this multiple of the background's brightness."""
+GROUND_CERTAINTY = 0.7
+"""A settled pixel of a colour this surely ground's is ground, if it touches ground."""
+GROUND_LIKELIHOOD = 0.4
+"""A settled pixel of a colour this likely ground's is ground, if it fits the ground beside it clearly better than
+what the background held there does: textured ground that a thing, there from the start, has moved off."""
+GROUND_AROUND = 0.85
+"""A settled pixel that looks like a background which may show the moving thing itself is ground if so large a share
+of the 5 x 5 pixels around it surely is, and its depth is known: alone among ground it would hold its neighbours."""
+GROWTH_PIXELS = 3
+"""Rings of uncovered ground found per image; each ring is two pixels wide."""
+LEARNING_RATE = 0.05
+"""Share of each new image, and of its depth, that enters the background where it is free."""
+DEPTH_LEVELS = 0.02
+"""Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
 NEAR_M = 0.01
-"""Smallest change of depth that counts beside `depth_levels`, m."""
-
-
-@dataclass(frozen=True)
-class MovingMaskParameters:
-    """What counts as change, and when a pixel that changed is background again."""
-
-    change_sigmas: float = 6.0
-    """A pixel has changed when it differs by this many times the image's own noise (1 sigma, measured)."""
-    change_levels: float = 9.0
-    """Smallest difference that counts, in 8-bit levels: below it lie compression artefacts."""
-    baseline_ns: int = 100_000_000
-    """An image is compared with one this much older: slow limbs move a pixel in 100 ms, not between two frames."""
-    settle_ns: int = 120_000_000
-    """A pixel still for this long may be recognised as uncovered background."""
-    smallest_area: float = 6e-4
-    """Smallest moving region as a share of the image; less is noise."""
-    gap: float = 0.03
-    """Gaps inside a moving thing up to this share of the image's shorter side are closed."""
-    shadow_darkest: float = 0.7
-    """A cast shadow keeps at least this share of the background's brightness (and its colour)."""
-    reflection_brightest: float = 1.2
-    """A reflected glow adds at most up to this multiple of the background's brightness."""
-    ground_certainty: float = 0.7
-    """A settled pixel of a colour this surely ground's is ground, if it touches ground."""
-    ground_likelihood: float = 0.4
-    """A settled pixel of a colour this likely ground's is ground, if it fits the ground beside it clearly better than
-    what the background held there does: textured ground that a thing, there from the start, has moved off."""
-    ground_around: float = 0.85
-    """A settled pixel that looks like a background which may show the moving thing itself is ground if so large a share
-    of the 5 x 5 pixels around it surely is, and its depth is known: alone among ground it would hold its neighbours."""
-    growth_pixels: int = 3
-    """Rings of uncovered ground found per image; each ring is two pixels wide."""
-    learning_rate: float = 0.05
-    """Share of each new image, and of its depth, that enters the background where it is free."""
-    depth_levels: float = 0.02
-    """Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
+"""Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
 
 
 class CameraMask:
     """One camera's background and the mask of what stands out from it. Images are float planes [3, H, W]."""
 
-    def __init__(self, view: View, parameters: MovingMaskParameters) -> None:
-        self.parameters = parameters
+    def __init__(self, view: View) -> None:
         self.shape = view.rgb.shape[:2]
         self.background = _planes(view.rgb)
         self.depth = np.zeros(self.shape, np.float32) if view.depth is None else view.depth.astype(np.float32)
@@ -66,9 +58,9 @@ class CameraMask:
         self.mask = np.zeros(self.shape, np.bool_)
         self.measured = np.zeros(self.shape, np.float32)  # by the newest image with depth
         self.still_ns = np.zeros(self.shape, np.float32)
-        self.sigma = parameters.change_levels / parameters.change_sigmas
+        self.sigma = CHANGE_LEVELS / CHANGE_SIGMAS
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
-        self.closing = _disk(max(1, round(parameters.gap * min(self.shape))))
+        self.closing = _disk(max(1, round(GAP * min(self.shape))))
         self.colours = Colours()
 
     def update(self, view: View, robot: Bool | None) -> Bool:
@@ -79,7 +71,7 @@ class CameraMask:
         self._meet(image / gain, view, seen & ~self.known)
         free = seen & ~self.mask
         settled = self._settled(image, view.stamp, free)
-        threshold = max(self.parameters.change_levels, self.parameters.change_sigmas * self.sigma)
+        threshold = max(CHANGE_LEVELS, CHANGE_SIGMAS * self.sigma)
         expected = self.background * gain
         difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
         in_front = self._depth_in_front(view, seen)
@@ -104,13 +96,13 @@ class CameraMask:
 
     def reference(self, stamp: int) -> Float32:
         """[3, H, W] the oldest image up to a baseline older than `stamp` (ns); the newest where there is none."""
-        recent = (past for at, past in self.past if stamp - at <= self.parameters.baseline_ns)
+        recent = (past for at, past in self.past if stamp - at <= BASELINE_NS)
         return next(recent, self.past[-1][1])
 
     def remember(self, stamp: int, image: Float32) -> None:
         """Keeps the image [3, H, W] of `stamp` (ns) for as long as others are compared with it."""
         self.past.append((stamp, image))
-        while len(self.past) > 2 and stamp - self.past[1][0] > self.parameters.baseline_ns:
+        while len(self.past) > 2 and stamp - self.past[1][0] > BASELINE_NS:
             self.past.popleft()
 
     def _meet(self, image: Float32, view: View, fresh: Bool) -> None:
@@ -133,17 +125,17 @@ class CameraMask:
         if sample.size > 50:
             self.sigma += 0.05 * (max(0.5, 1.48 * float(_middle(sample))) - self.sigma)
         last_stamp, last = self.past[-1]
-        quiet = _difference(image, last) < 0.7 * self.parameters.change_levels
+        quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
         self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self.remember(stamp, image)
-        settled: Bool = (self.still_ns > self.parameters.settle_ns) & (change < 0.7 * self.parameters.change_levels)
+        settled: Bool = (self.still_ns > SETTLE_NS) & (change < 0.7 * CHANGE_LEVELS)
         return settled
 
     def _lighting_only(self, image: Float32, expected: Float32, threshold: float) -> Bool:
         """Where the image is the background in a shadow or a glow: same colour, another brightness."""
         ratio = (image * expected).sum(0) / np.maximum((expected * expected).sum(0), 1)
         residual = _difference(image, ratio * expected)
-        low, high = self.parameters.shadow_darkest, self.parameters.reflection_brightest
+        low, high = SHADOW_DARKEST, REFLECTION_BRIGHTEST
         lit: Bool = (ratio > low) & (ratio < high) & (residual < 0.6 * threshold)
         return lit
 
@@ -153,7 +145,7 @@ class CameraMask:
         strong = np.zeros(count, np.bool_)
         strong[labels[evidence > threshold]] = True
         strong[0] = False
-        strong &= stats[:, cv2.CC_STAT_AREA] >= self.parameters.smallest_area * evidence.size
+        strong &= stats[:, cv2.CC_STAT_AREA] >= SMALLEST_AREA * evidence.size
         return self._closed(strong[labels])
 
     def _unconfirmed_holes(self, mask: Bool) -> Bool:
@@ -191,7 +183,7 @@ class CameraMask:
 
     def _is_before(self, depth: Float32, other: Float32) -> Bool:
         """Where one depth is clearly less than another, both known."""
-        return np.asarray(depth < other * (1 - self.parameters.depth_levels) - NEAR_M)
+        return np.asarray(depth < other * (1 - DEPTH_LEVELS) - NEAR_M)
 
     def _surrounded(self, ground: Bool) -> Bool:
         """Pixels with enough ground among the 5 x 5 around them, or among as many of these as the image has."""
@@ -199,7 +191,7 @@ class CameraMask:
             cv2.boxFilter(of.astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
             for of in (ground, np.ones_like(ground))
         ]
-        surrounded: Bool = counts[0] >= self.parameters.ground_around * counts[1].astype(np.float64)
+        surrounded: Bool = counts[0] >= GROUND_AROUND * counts[1].astype(np.float64)
         return surrounded
 
     def _uncovered(
@@ -212,11 +204,11 @@ class CameraMask:
         share = self.colours.learn(image, free, object_)
         if not settled.any():
             return found
-        ground_coloured = settled & (share > self.parameters.ground_certainty)
-        likely_ground = settled & (share > self.parameters.ground_likelihood)
+        ground_coloured = settled & (share > GROUND_CERTAINTY)
+        likely_ground = settled & (share > GROUND_LIKELIHOOD)
         box = _around(settled, 2)  # what is found is settled, and looks no farther than its 5 x 5 pixels
         image, background, inside = image[:, *box], self.background[:, *box], found[box]
-        for _ in range(self.parameters.growth_pixels):
+        for _ in range(GROWTH_PIXELS):
             known = (free[box] | inside).astype(np.float32)
             weight = cv2.boxFilter(known, -1, (5, 5))
             sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
@@ -234,14 +226,14 @@ class CameraMask:
         none is known the first to be measured is taken, and at once what two images in a row find behind it: ground
         that was hidden. What lies deeper is learnt behind what moves, too.
         """
-        learning_rate = np.float32(self.parameters.learning_rate)
+        learning_rate = np.float32(LEARNING_RATE)
         rate = np.where(free, np.where(uncovered, np.float32(1), learning_rate), np.float32(0))
         self.background += rate * (image - self.background)
         if view.depth is not None:
             deeper = np.where(view.depth > self.depth, np.maximum(rate, learning_rate), rate)
             share = np.where(self.depth == 0, free.astype(np.float32), deeper)
             behind = np.minimum(view.depth, self.measured)
-            bared = (self.depth > 0) & (behind > self.depth * (1 + self.parameters.depth_levels) + NEAR_M)
+            bared = (self.depth > 0) & (behind > self.depth * (1 + DEPTH_LEVELS) + NEAR_M)
             drawn = self.depth + np.where(view.depth > 0, share * (view.depth - self.depth), np.float32(0))
             self.depth = np.where(bared, behind, drawn)
             self.measured = view.depth.astype(np.float32)

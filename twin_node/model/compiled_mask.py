@@ -9,7 +9,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.model.camera_mask import CameraMask, MovingMaskParameters, seen_by
+from twin_node.model.camera_mask import (
+    CHANGE_LEVELS,
+    CHANGE_SIGMAS,
+    DEPTH_LEVELS,
+    GROUND_AROUND,
+    GROUND_CERTAINTY,
+    GROUND_LIKELIHOOD,
+    GROWTH_PIXELS,
+    LEARNING_RATE,
+    REFLECTION_BRIGHTEST,
+    SETTLE_NS,
+    SHADOW_DARKEST,
+    SMALLEST_AREA,
+    CameraMask,
+    seen_by,
+)
 from twin_node.model.kernel_requests import MaskRequest, MaskRules
 from twin_node.model.kernels import kernels
 from twin_node.native_library import address_of, addresses_of
@@ -42,7 +57,7 @@ class _Call:
         self._stamp = view.stamp
         self._image: Float32 = np.empty((3, *camera.shape), np.float32)
         self._sigma = np.array([camera.sigma])
-        self._rules = _rules(camera.parameters, camera.closing)
+        self._rules = _rules(camera.closing)
         last_stamp, last = camera.past[-1]
         self._held: list[NDArray[np.generic] | None] = [
             cv2.GaussianBlur(view.rgb, (3, 3), 0),
@@ -67,12 +82,11 @@ class _Call:
         return self._camera.mask.copy()
 
 
-def _rules(parameters: MovingMaskParameters, closing: NDArray[np.uint8]) -> MaskRules:
-    p = parameters
+def _rules(closing: NDArray[np.uint8]) -> MaskRules:
     return MaskRules(
-        *(p.change_sigmas, p.change_levels, p.settle_ns, p.smallest_area, p.shadow_darkest, p.reflection_brightest),
-        *(p.ground_certainty, p.ground_likelihood, p.ground_around, p.learning_rate, p.depth_levels),
-        p.growth_pixels,
+        *(CHANGE_SIGMAS, CHANGE_LEVELS, SETTLE_NS, SMALLEST_AREA, SHADOW_DARKEST, REFLECTION_BRIGHTEST),
+        *(GROUND_CERTAINTY, GROUND_LIKELIHOOD, GROUND_AROUND, LEARNING_RATE, DEPTH_LEVELS),
+        GROWTH_PIXELS,
         closing.shape[0] // 2,
         address_of(closing),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from twin_node.model.camera_mask import CameraMask, MovingMaskParameters
+from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, FrameSet, View
@@ -17,8 +17,7 @@ class MovingMask:
     in it moves. What moved and stopped stays in the mask; uncovered ground leaves it once it is known to be ground.
     """
 
-    def __init__(self, parameters: MovingMaskParameters | None = None) -> None:
-        self.parameters = parameters or MovingMaskParameters()
+    def __init__(self) -> None:
         self._cameras: dict[str, CameraMask] = {}
 
     def update(self, frames: FrameSet, robot_masks: Sequence[Bool | None]) -> tuple[Bool, ...]:
@@ -39,5 +38,5 @@ class MovingMask:
     def _camera_of(self, view: View) -> CameraMask:
         camera = self._cameras.get(view.camera.name)
         if camera is None or camera.shape != view.rgb.shape[:2]:
-            camera = self._cameras[view.camera.name] = CameraMask(view, self.parameters)
+            camera = self._cameras[view.camera.name] = CameraMask(view)
         return camera
