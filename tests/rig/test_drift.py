@@ -12,7 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from twin_node.cell import CellSource, load_scenario
-from twin_node.rig.drift import Drift, DriftParameters, DriftReport, DriftWatch, Verdict
+from twin_node.rig.drift import DriftParameters, DriftWatch
+from twin_node.rig.drift_report import Drift, DriftReport, Verdict
 from twin_node.rig.errors import RigError
 from twin_node.scene import FrameSet, View
 

@@ -12,7 +12,8 @@ import pytest
 from test_drift import AXES, Axis, bumped
 
 from twin_node.rig import Undistorter, load_rig, read_stamps
-from twin_node.rig.drift import DriftReport, DriftWatch, Verdict
+from twin_node.rig.drift import DriftWatch
+from twin_node.rig.drift_report import DriftReport, Verdict
 from twin_node.scene import FrameSet, RigCamera, View
 
 PERIOD_NS = 200_000_000

@@ -12,7 +12,7 @@ from twin_node.messages import Message, convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEEN, SEPARATION, STATE, TRUSTED_FRAMES
-from twin_node.rig.drift import DriftReport
+from twin_node.rig.drift_report import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node

@@ -7,7 +7,8 @@ from weakref import WeakKeyDictionary
 
 from twin_node.messages import convert
 from twin_node.nodes.topics import DIAGNOSTICS, DRIFT, FRAMES, TRUSTED_FRAMES
-from twin_node.rig.drift import Drift, DriftParameters, DriftReport, DriftWatch, Verdict
+from twin_node.rig.drift import DriftParameters, DriftWatch
+from twin_node.rig.drift_report import Drift, DriftReport, Verdict
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock, SystemClock
 from twin_node.runtime.node import Node

@@ -12,7 +12,7 @@ from twin_node.messages import convert, serialize
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.latency import Latency
 from twin_node.nodes.topics import DRIFT, FORECAST, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEEN, STATE, STATUS
-from twin_node.rig.drift import DriftReport
+from twin_node.rig.drift_report import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node

@@ -22,7 +22,7 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, STATE
-from twin_node.rig.drift import DriftReport
+from twin_node.rig.drift_report import DriftReport
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import HORIZONS_NS, FrameSet, Grid, Occupancy, TwinState
