@@ -2,18 +2,11 @@
 
 from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.cycle import CycleParameters, CyclicPath, default_path
 from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters, SpeedLimiter, standing
-from twin_node.arm.path import (
-    CycleParameters,
-    CyclicPath,
-    default_path,
-    extrapolate,
-    path_ahead,
-    path_from_sample,
-    sample_path,
-)
+from twin_node.arm.path import extrapolate, path_ahead, path_from_sample, sample_path
 from twin_node.arm.predictor import ArmPredictor
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
-from twin_node.arm.path import STEP_NS, CyclicPath, path_ahead, path_from_sample, sample_path
+from twin_node.arm.path import STEP_NS, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
 from twin_node.scene import JointPath, JointSample

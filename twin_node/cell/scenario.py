@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin_node.arm.path import CycleParameters
+from twin_node.arm.cycle import CycleParameters
 from twin_node.cell.errors import CellError
 from twin_node.cell.motion import Path
 from twin_node.cell.shapes import Form

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.arm.path import default_path, sample_path
+from twin_node.arm.cycle import default_path
+from twin_node.arm.path import sample_path
 from twin_node.cell.scenario import ArmSpec, Scenario
 from twin_node.cell.shapes import Placed
 from twin_node.cell.solids import Solid, capsule_between
