@@ -145,6 +145,16 @@ def test_a_path_tells_nothing_before_it_begins_and_after_it_ends(when_ms: int, s
     np.testing.assert_allclose(pose_at(stands, when_ms), READY)
 
 
+def test_beyond_its_path_an_arm_goes_on_as_fast_as_at_its_end_and_no_farther_than_it_can() -> None:
+    wrist = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
+    stamp = NOW + 500 * MS
+    ahead = predictor(planned(lasts_ms=500, velocity=0.5 * wrist)).ahead(stamp, stamp)
+    np.testing.assert_allclose(ahead.positions[-1], READY + (0.5 + 0.2) * 0.5 * wrist, atol=1e-9)
+    stamp = NOW + 2500 * MS
+    ahead = predictor(planned(lasts_ms=2500, velocity=wrist)).ahead(stamp, stamp)
+    assert MODEL.upper[5] - 0.2 < READY[5] + 2.5 * wrist[5] < ahead.positions[-1, 5] == MODEL.upper[5]
+
+
 @pytest.mark.parametrize(("back_ms", "turned"), [(390, 1.0), (410, 0.2)])
 def test_joints_of_before_newer_ones_are_left_out_unless_the_clock_was_put_back(back_ms: int, turned: float) -> None:
     found = predictor(planned(lasts_ms=100), joints(READY + TURNING, 0 * TURNING, 1000))

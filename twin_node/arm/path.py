@@ -57,7 +57,7 @@ def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floatin
     """
     start = model.check_positions(q)
     offsets = ahead_offsets()
-    positions = _kept_up(model, start, model.check_positions(qd), offsets * np.float64(1e-9))
+    positions = kept_up(model, start, model.check_positions(qd), offsets * np.float64(1e-9))
     return JointPath(model.joint_names, stamp + offsets, positions)
 
 
@@ -69,11 +69,11 @@ def path_from_sample(model: ArmModel, sample: JointSample, stamp: int) -> JointP
     """
     q, qd = model.order(sample.names, sample.positions), model.order(sample.names, sample.velocities)
     age_s = max(stamp - sample.stamp, 0) * 1e-9
-    now = _kept_up(model, model.check_positions(q), model.check_positions(qd), np.array([age_s]))[0]
+    now = kept_up(model, model.check_positions(q), model.check_positions(qd), np.array([age_s]))[0]
     return extrapolate(model, now, qd, stamp)
 
 
-def _kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
+def kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
     """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's limits.
 
     A joint that is beyond its range already comes no further.

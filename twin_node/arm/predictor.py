@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
-from twin_node.arm.path import STEP_NS, path_ahead, path_from_sample, sample_path
+from twin_node.arm.path import STEP_NS, kept_up, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
 from twin_node.scene import JointPath, JointSample
@@ -160,12 +160,12 @@ class ArmPredictor:
 
 
 def _gone_on(model: ArmModel, path: JointPath) -> JointPath:
-    """A path whose joints keep the velocities that they have at its end, within their ranges."""
+    """A path whose joints keep the velocities that they have at its end, within the arm's limits."""
     if len(path.stamps) < 2:
         return path
-    step_ns = int(path.stamps[-1] - path.stamps[-2])
-    way = (path.positions[-1] - path.positions[-2]) * (_GONE_ON_NS / step_ns)
-    last = path.positions[-1]
-    end = np.clip(last + way, np.minimum(model.lower, last), np.maximum(model.upper, last))
-    stamps = np.append(path.stamps, path.stamps[-1] + _GONE_ON_NS)
-    return JointPath(path.names, stamps, np.concatenate([path.positions, end[None]]))
+    *_, before, last = path.positions
+    velocities = (last - before) / (int(path.stamps[-1] - path.stamps[-2]) * 1e-9)
+    offsets = np.arange(STEP_NS, _GONE_ON_NS + 1, STEP_NS)
+    positions = kept_up(model, last, velocities, offsets * np.float64(1e-9))
+    stamps = np.concatenate([path.stamps, path.stamps[-1] + offsets])
+    return JointPath(path.names, stamps, np.concatenate([path.positions, positions]))
