@@ -54,6 +54,15 @@ def test_a_fast_thing_is_held_all_along_its_way(speed: float) -> None:
     assert not any(held(np.concatenate(passed), at).any() for at in before_and_behind)
 
 
+def test_the_way_is_as_wide_as_the_bound_grows_on_it() -> None:
+    speed, (parts, displacements, radii) = 8.0, thrown(8.0, 0.05)
+    radii[2] = 0.15
+    passed = passed_between(GRID, parts, displacements, radii)
+    aside = np.array([0.0, 0.12, 0.0])  # half of the thing, and the mean of both bounds
+    assert np.isin(thing(ahead(speed * 0.075) + aside, 0.03), passed[1]).all()
+    assert not np.isin(thing(ahead(speed * 0.025) + aside, 0.03), passed[0]).any()
+
+
 def test_ways_of_any_length_are_no_more_than_a_few_places() -> None:
     parts, displacements, radii = thrown(1e9, 0.05)
     assert len(passed_between(GRID, parts, displacements, radii)) == len(HORIZONS_NS) - 1
