@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from forecast_worlds import GRID, state_of
 
+from twin_node.forecast import Forecaster
 from twin_node.forecast.judgement import AGREEMENT_JUDGEMENTS, FEWEST, Held, Watch
 
 FORESEEN = Held(seen=100, covered=95, measured=100, agreed=90)
@@ -38,3 +41,15 @@ def test_cameras_without_depth_cannot_be_at_odds() -> None:
     for _ in range(20):
         watch = watch.after(Held(seen=100, covered=100))
     assert watch.agreement == 1.0
+
+
+def test_a_forecaster_tells_what_it_has_not_foreseen_and_nothing_of_what_has_moved_from_the_first_set_on() -> None:
+    forecaster, told = Forecaster(GRID), []
+    for tick in range(26):
+        stamp = tick * 33_333_333
+        jump = 0.5 if tick >= 18 else 0.0
+        ball = np.array([-0.3 + jump, -0.3 + 0.5 * stamp * 1e-9, 0.45])
+        forecaster.update(state_of(stamp, ball, with_depth=True), stamp + 33_000_000)
+        told.append(any("not foreseen" in warning for warning in forecaster.quality.warnings))
+    assert not any(told[:18])
+    assert any(told[18:])
