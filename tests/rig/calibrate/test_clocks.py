@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.cell import CellSource, load_scenario
+from twin_node.geometry import project
 from twin_node.rig import RigError
 from twin_node.rig.calibrate.arm_features import ArmClock
 from twin_node.rig.calibrate.arm_motion import Film
 from twin_node.rig.calibrate.clocks import CameraClock, ClockParameters, _by_features, calibrate_clocks
 from twin_node.rig.calibrate.shifts import Costs, best_shift
 from twin_node.robot import arm_model
-from twin_node.scene import Camera, FrameSet, RigCamera
+from twin_node.scene import Camera, FrameSet, RigCamera, View
 
 SHIFTS = np.arange(-25, 26) * 0.004
 
@@ -122,3 +124,42 @@ def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) 
         calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), ClockParameters(max_offset_s=0.05))
     with pytest.raises(RigError, match="expected at least 20 images"):
         calibrate_clocks(cameras(recording), recording[:5], arm_model("ur5e"))
+
+
+def camera_at(name: str, angle: float) -> Camera:
+    """One that looks at the origin from so far round it, rad."""
+    eye = np.array([1.2 * np.cos(angle), 1.2 * np.sin(angle), 0.9])
+    ahead = -eye / np.linalg.norm(eye)
+    right = np.cross(ahead, [0, 0, 1.0]) / np.linalg.norm(np.cross(ahead, [0, 0, 1.0]))
+    T = np.eye(4)
+    T[:3] = np.stack([right, np.cross(ahead, right), ahead, eye], axis=1)
+    return Camera(name, 96, 72, np.array([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]]), T)
+
+
+def ball_seen(camera: Camera, t: float) -> np.ndarray:
+    """A ball that goes about the origin, as it is at `t` (s)."""
+    x, y = 0.25 * np.sin(2.1 * t) + 0.1 * np.sin(5.3 * t + 1), 0.25 * np.sin(1.7 * t + 2) + 0.08 * np.sin(6.1 * t)
+    u, v, _ = project(camera.K, camera.viewmat, np.array([[x, y, 0.1 * np.sin(3.3 * t)]]))[0]
+    image = np.full((72, 96, 3), 60, np.uint8)
+    return cv2.circle(image, (round(u * 16), round(v * 16)), 7 * 16, (230, 230, 230), -1, cv2.LINE_AA, 4)
+
+
+def test_without_an_arm_cameras_are_timed_against_the_first() -> None:
+    late_ms = {"first": 0, "late": 40, "early": -25}
+    rig = [camera_at(name, angle) for name, angle in zip(late_ms, (0.0, 0.7, -0.8), strict=True)]
+    sets = []
+    for k in range(200):
+        stamp = 10**18 + k * 33_333_333
+        views = tuple(View(one, stamp + late_ms[one.name] * 1_000_000, ball_seen(one, k / 30)) for one in rig)
+        sets.append(FrameSet(max(view.stamp for view in views), views, sequence=k))
+    result = calibrate_clocks(rig, sets)
+    assert result.reference == "first"
+    for clock in result.cameras:
+        assert clock.offset_ns / 1e6 == pytest.approx(-late_ms[clock.name], abs=12)
+    blind = replace(rig[2], T_base_cam=rig[2].T_base_cam @ np.diag([-1.0, 1, -1, 1]))  # looks away
+    alone = [
+        replace(one, views=(*one.views[:2], replace(one.views[2], camera=blind, rgb=0 * one.views[2].rgb)))
+        for one in sets
+    ]
+    with pytest.raises(RigError, match="camera early: expected motion that another camera sees too"):
+        calibrate_clocks([*rig[:2], blind], alone)
