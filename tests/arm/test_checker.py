@@ -81,14 +81,40 @@ def test_time_is_checked_against_time(ur5e_checker: ArmCollisionChecker) -> None
     tool = forward_kinematics(ur5e_checker.model, READY)[-1, :3, 3]
     at_tool = Thing(tuple(tool), valid_ms=(50, 100))
     ur5e_checker.update(obstacles(at_tool, Thing((5.0, 0.0, 0.0), valid_ms=(0, 150))))
-    stamps = NOW + MS * np.array([0, 49, 50, 80, 100, 101, 150, 151])
-    steps = ur5e_checker.check(np.tile(READY, (8, 1)), stamps)
-    assert [step.distance <= 0 for step in steps] == [False, False, True, True, True, False, False, False]
-    assert [step.obstacle_id for step in steps] == [101, 101, 100, 100, 100, 101, 101, -1]
-    assert steps[-1].distance == np.inf
-    assert steps[-1].link == ""
+    stamps = NOW + MS * np.array([0, 49, 50, 80, 100, 101, 150])
+    steps = ur5e_checker.check(np.tile(READY, (7, 1)), stamps)
+    assert [step.distance <= 0 for step in steps] == [False, False, True, True, True, False, False]
+    assert [step.obstacle_id for step in steps] == [101, 101, 100, 100, 100, 101, 101]
     assert ur5e_checker.distance(READY, NOW + 20 * MS).obstacle_id == 101
     assert ur5e_checker.distance(READY).obstacle_id == 100
+
+
+def test_before_a_forecast_begins_that_counts_which_it_begins_with(ur5e_checker: ArmCollisionChecker) -> None:
+    """Live it begins 80 ms after the evidence and comes 30 ms after it: nothing would be valid in between."""
+    tool = tuple(forward_kinematics(ur5e_checker.model, READY)[-1, :3, 3])
+    first, later = Thing(tool, valid_ms=(80, 130)), Thing((0.0, 0.0, 5.0), valid_ms=(130, 280))
+    table = Thing((5.0, 0.0, 0.0), kind=ObstacleKind.STATIC, valid_ms=(80, 280))
+    ur5e_checker.update(obstacles(Thing((3.0, 0.0, 0.0), valid_ms=(0, 0)), first, later, table))
+    found = [ur5e_checker.distance(READY, NOW + ms * MS).obstacle_id for ms in (-20, 0, 33, 80, 140)]
+    assert found == [101, 101, 101, 101, 102]
+
+
+def test_what_was_seen_counts_where_no_motion_is_forecast(ur5e_checker: ArmCollisionChecker) -> None:
+    table = Thing((5.0, 0.0, 0.0), kind=ObstacleKind.STATIC, valid_ms=(80, 280))
+    ur5e_checker.update(obstacles(table, Thing((3.0, 0.0, 0.0), valid_ms=(0, 0))))
+    assert ur5e_checker.distance(READY, NOW + 100 * MS).obstacle_id == 101
+    ur5e_checker.update(obstacles(Thing((3.0, 0.0, 0.0), valid_ms=(0, 0))))
+    assert ur5e_checker.distance(READY, NOW).obstacle_id == 100
+
+
+@pytest.mark.parametrize("stamp", [NOW + 281 * MS, NOW - 201 * MS, NOW // 10**9])
+def test_a_time_that_no_obstacle_speaks_of_is_no_clearance(ur5e_checker: ArmCollisionChecker, stamp: int) -> None:
+    ur5e_checker.update(obstacles(Thing((3.0, 0.0, 0.0), valid_ms=(80, 280))))
+    with pytest.raises(ArmError, match=r"up to 0\.28 s after their evidence, found .* take newer obstacles"):
+        ur5e_checker.distance(READY, stamp)
+    for look in (ur5e_checker.check, ur5e_checker.closest):
+        with pytest.raises(ArmError, match="nobody has forecast"):
+            look(np.tile(READY, (2, 1)), np.array([NOW + 100 * MS, stamp]))
 
 
 def test_a_trajectory_step_is_what_the_pose_alone_is(ur5e_checker: ArmCollisionChecker) -> None:
@@ -113,8 +139,6 @@ def test_the_closest_along_a_trajectory_is_the_least_of_its_steps(ur5e_checker: 
         found = ur5e_checker.closest(positions, stamps)
         assert found.distance == pytest.approx(least.distance, abs=1e-9)
         assert (found.link, found.obstacle_id) == (least.link, least.obstacle_id)
-    ur5e_checker.update(replace(placed, valid_from=stamps[-1] + begins, valid_to=stamps[-1] + begins))
-    assert ur5e_checker.closest(positions, stamps).distance == np.inf
 
 
 def test_no_obstacles_means_infinite_distance(ur5e_checker: ArmCollisionChecker) -> None:

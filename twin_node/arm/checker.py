@@ -139,29 +139,32 @@ class ArmCollisionChecker:
         self._exempt = self._exemptions()
 
     def distance(self, q: NDArray[np.floating], stamp: int | None = None) -> Clearance:
-        """Closest pair at joint angles [J] (rad), among the obstacles valid at a time (ns), or among all.
+        """Closest pair at joint angles [J] (rad), among the obstacles that count at a time (ns), or among all.
 
-        Raises `RobotError` for a wrong number of angles or one that is not finite.
+        Which count, `check` says. Raises `RobotError` for a wrong number of angles or one that is not finite, and
+        `ArmError` for a time that the obstacles say nothing of.
         """
         angles = self._model.check_positions(q).reshape(1, -1)
-        valid = np.ones(len(self._obstacles), bool) if stamp is None else self._obstacles.valid_at(stamp)
-        return self._closest(angles, valid[None])[0]
+        if stamp is None:
+            return self._closest(angles, np.ones((1, len(self._obstacles)), bool))[0]
+        return self._closest(angles, self._obstacles.counting_at(np.array([stamp])))[0]
 
     def check(self, positions: NDArray[np.floating], stamps: NDArray[np.integer]) -> tuple[Clearance, ...]:
         """Closest pair at every step of a trajectory: positions [T, J] (rad) at stamps [T] (ns), time against time.
 
-        An obstacle counts at a step only if it is valid at that step's stamp. Raises `RobotError` or `ArmError` for a
-        trajectory of the wrong shape or with values that are not finite.
+        An obstacle counts at a step if it is valid at that step's stamp; before the forecast begins those count that it
+        begins with. Raises `RobotError` or `ArmError` for a trajectory of the wrong shape or with values that are not
+        finite, and for stamps that the obstacles say nothing of: of what comes after the last forecast nobody knows.
         """
         angles, times = self._trajectory(positions, stamps)
-        return self._closest(angles, self._obstacles.valid_at(times[:, None]))
+        return self._closest(angles, self._obstacles.counting_at(times))
 
     def closest(self, positions: NDArray[np.floating], stamps: NDArray[np.integer]) -> Clearance:
         """Closest pair over all steps of a trajectory; as `check`, but only that one gets its witness points."""
         angles, times = self._trajectory(positions, stamps)
         if len(self._obstacles) == 0 or len(angles) == 0:
             return _NO_CLEARANCE
-        valid = self._obstacles.valid_at(times[:, None])
+        valid = self._obstacles.counting_at(times)
         placed = place_capsules(self._model, forward_kinematics(self._model, angles))
         capsules, rows = np.nonzero(self._contenders(placed, np.asarray(valid.any(axis=0))))
         if len(capsules) == 0:

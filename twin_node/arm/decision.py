@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.errors import ArmError
@@ -48,7 +47,7 @@ def decide(
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     motion = ArmMotion(stamp, reaction_s, _fastest(positions, seconds), stopping)
-    closest = checker.closest(positions, _told_of(checker, path.stamps))
+    closest = checker.closest(positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as they are last
     picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
     pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
     closing = _closing(pairs, seconds[picked])
@@ -118,13 +117,6 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
         speed_fraction=share,
         reason=f"{state} {kind}",
     )
-
-
-def _told_of(checker: ArmCollisionChecker, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps [T] (ns) drawn into the time of which obstacles of every kind speak: at others they count as nearest."""
-    ends = [checker.obstacles.last_valid(kind) for kind in ObstacleKind]
-    end = min((end for end in ends if end is not None), default=stamps[0])
-    return np.minimum(np.maximum(stamps, checker.obstacles.source.begins), end)
 
 
 def _fastest(positions: Float64, seconds: Float64) -> Float64:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
 from twin_node.geometry import rotation_from_quat
-from twin_node.scene import Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
+from twin_node.scene import HORIZONS_NS, Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
 _SHAPES, _KINDS = np.array(ObstacleShape, np.uint8), np.array(ObstacleKind, np.uint8)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+_EARLY_NS = HORIZONS_NS[-1]
+"""Evidence may come so much later than the time that is asked of, as computers' clocks differ: see `decide`."""
 _FARTHEST = 1e6
 """m, m/s and s: no obstacle is farther, larger, faster or later. With numbers beyond it distances become infinite."""
 
@@ -93,6 +95,31 @@ class ObstacleSet:
         """Last time (ns) that obstacles of a kind speak of; None where there are none."""
         ends = self.source.valid_to[self.kinds == kind]
         return int(ends.max()) if len(ends) else None
+
+    @property
+    def told_until(self) -> int:
+        """Last time (ns) of which the forecasts of every kind speak; that of the evidence where nothing is forecast."""
+        forecast = ~self.source.as_seen
+        ends = [self.source.valid_to[forecast & (self.kinds == kind)] for kind in ObstacleKind]
+        return min((int(end.max()) for end in ends if len(end)), default=self.source.stamp)
+
+    def counting_at(self, stamps: NDArray[np.int64]) -> Bool:
+        """True [T, n] for obstacles that count at times [T] (ns): those valid then, and what was seen if no motion is
+        forecast. A forecast begins when it is expected to be read: before that those count that it begins with.
+
+        Raises `ArmError` for times that the obstacles say nothing of: later ones, and those of another clock.
+        """
+        source, until = self.source, self.told_until
+        if len(self) and len(stamps) and not source.stamp - _EARLY_NS <= stamps.min() <= stamps.max() <= until:
+            first_s, last_s = ((int(stamp) - source.stamp) * 1e-9 for stamp in (stamps.min(), stamps.max()))
+            raise ArmError(
+                f"obstacles: expected times by the clock of their stamps, up to {(until - source.stamp) * 1e-9:.3g} s "
+                f"after their evidence, found {first_s:.3g} to {last_s:.3g} s after it; what is then nobody has "
+                "forecast: look no farther, or take newer obstacles"
+            )
+        valid = self.valid_at(np.maximum(stamps, source.begins)[:, None])
+        moving = self.kinds == ObstacleKind.MOVING
+        return valid | source.as_seen if (source.as_seen == moving).all() else valid
 
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
