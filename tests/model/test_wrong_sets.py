@@ -47,6 +47,13 @@ def test_images_that_are_not_of_their_cameras_size_are_refused(name: str, shape:
         model.update(replace(one, views=(one.views[0], wrong, *one.views[2:])))
 
 
+def test_stamps_in_seconds_are_refused() -> None:
+    model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
+    wrong = replace(one.views[1], stamp=1.7e9)
+    with pytest.raises(ModelError, match=r"camera cam1: expected a stamp in whole nanoseconds, found 1700000000\.0"):
+        model.update(replace(one, stamp=1.7e9, views=(one.views[0], wrong, *one.views[2:])))
+
+
 @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf])
 def test_depth_that_is_not_finite_is_refused_before_anything_is_made_of_the_set(wild: float) -> None:
     model, sets = WindowModel(QUICK), sliding(3, CAMERAS, depth=True)

@@ -178,6 +178,12 @@ def test_unknown_depth_is_zero() -> None:
     assert not view.depth.any()
 
 
+def test_depth_in_whole_millimetres_is_refused() -> None:
+    """Taken for metres, all that it measures would be 1 km away and all before it free."""
+    with pytest.raises(RigError, match=r"camera cam: expected depth in metres .* found uint16.* divide by 1000"):
+        Undistorter(PINHOLE, 160).view(0, np.zeros((270, 480, 3), np.uint8), np.full((270, 480), 1500, np.uint16))
+
+
 def test_depth_of_another_resolution_covers_the_same_view() -> None:
     depth = np.broadcast_to(np.where(np.arange(240) < 150, 1.0, 2.0).astype(np.float32), (135, 240)).copy()
     view = Undistorter(PINHOLE, 160).view(0, np.zeros((270, 480, 3), np.uint8), depth)

@@ -54,7 +54,7 @@ class Undistorter:
         `depth` [h, w] is in metres along the optical axis, of any resolution that covers the same image; what is not a
         positive finite number becomes 0. Depth is picked, never averaged.
 
-        Raises `RigError` where the image is not of the calibrated size.
+        Raises `RigError` where the image is not of the calibrated size, and for depth in whole numbers.
         """
         raw = self._raw
         if rgb.shape != (raw.height, raw.width, 3) or rgb.dtype != np.uint8:
@@ -116,6 +116,11 @@ class Undistorter:
     def _pick_depth(self, depth: Float32) -> Float32:
         if depth.ndim != 2:
             raise RigError(f"camera {self._raw.name}: expected depth [H, W] in metres, found shape {list(depth.shape)}")
+        if not np.issubdtype(depth.dtype, np.floating):
+            raise RigError(
+                f"camera {self._raw.name}: expected depth in metres as float32, found {depth.dtype}, as drivers give "
+                "millimetres; divide by 1000.0"
+            )
         shape = (depth.shape[0], depth.shape[1])
         if shape not in self._depth_maps:
             self._depth_maps[shape] = self._make_depth_map(shape)

@@ -105,8 +105,14 @@ class View:
     def misfit(self, **masks: Bool | None) -> str | None:
         """The first of its arrays, or of `masks` [H, W] of it, that is not of its camera's size or not of its kind.
 
-        As a sentence for an error; None where all fit. Compiled code takes sizes from the camera, and looks no further.
+        As a sentence for an error, also for a stamp in seconds; None where all fit. Compiled code takes sizes from the
+        camera, and looks no further.
         """
+        if not isinstance(self.stamp, int | np.integer):
+            return (
+                f"camera {self.camera.name}: expected a stamp in whole nanoseconds, found {self.stamp!r}; of seconds "
+                "give round(1e9 * seconds)"
+            )
         size = (self.camera.height, self.camera.width)
         images = (("rgb", self.rgb, (*size, 3), np.uint8), ("depth", self.depth, size, np.float32))
         for name, array, shape, kind in (
