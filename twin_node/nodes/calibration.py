@@ -18,10 +18,9 @@ from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
+from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
 from twin_node.scene import Float64, Rig
 
-SINCE_1970_NS = 1_000_000_000_000_000_000
-"""Stamps above this (the year 2001) count from 1970, as live ones do; below it from the start of a recording."""
 ANOTHER_LENS = 0.05
 """Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
 
@@ -38,21 +37,6 @@ def rig_for(
         return _rig_of_log(log, cameras, tf_static)
     given, name = (rig_file, "the rig") if isinstance(rig_file, Rig) else (load_rig(rig_file).rig, str(rig_file))
     return without_other_clocks(_matched(given, cameras, name, log.path), since_1970=log.start_ns >= SINCE_1970_NS)
-
-
-def without_other_clocks(rig: Rig, since_1970: bool) -> Rig:
-    """A rig without the clocks that were timed by stamps of another kind: from 1970, or from a recording's start.
-
-    Their offsets tell nothing of the stamps at hand, and a rate of one part per million would put these off by half an
-    hour.
-    """
-    cameras = (
-        replace(camera, time_offset_ns=0, time_rate_ppm=0.0, time_reference_ns=0)
-        if camera.time_reference_ns and (camera.time_reference_ns >= SINCE_1970_NS) != since_1970
-        else camera
-        for camera in rig.cameras
-    )
-    return replace(rig, cameras=tuple(cameras))
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 
 from twin_node.rig import RigError
 from twin_node.rig.cameras import CameraImage, CaptureStamps, OpenCvCamera, OpenCvSource, SynchronizedSource
-from twin_node.scene import Rig, RigCamera
+from twin_node.scene import JointSample, Rig, RigCamera
 
 
 @pytest.fixture
@@ -151,6 +152,18 @@ def test_sets_go_on_when_the_hosts_clock_is_put_back(monkeypatch: pytest.MonkeyP
     source = SynchronizedSource(recorded, rig_of("a", "b"))
     assert len(list(source)) > 35
     assert [one.future for one in source.report.inputs] == [0, 0]
+
+
+def test_stamps_are_the_rigs_and_joints_come_beside_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, (a, b) = Recorded(0), rig_of("a", "b").cameras
+    monkeypatch.setattr("time.time_ns", lambda: recorded.now)
+    of_a_recording = {"time_offset_ns": 10**9, "time_rate_ppm": 2.0, "time_reference_ns": 5 * 10**9}
+    source = SynchronizedSource(recorded, Rig((replace(a, **of_a_recording), replace(b, time_offset_ns=-12_000_000))))
+    source.add_joints(JointSample(10**18, ("elbow_joint",), np.ones(1), np.zeros(1)))
+    sets = list(source)
+    assert {frames.views[0].stamp - frames.views[1].stamp for frames in sets} == {12_000_000}
+    assert sets[0].joints is not None and sets[0].joints.names == ("elbow_joint",)
+    assert sets[-1].joints is None
 
 
 def test_wrong_names_are_told(video: Path) -> None:

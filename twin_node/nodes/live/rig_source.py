@@ -57,7 +57,8 @@ def read_rig(parameters: RigParameters) -> RigSource:
 
         rig = make_rig(load_scenario(parameters.scenario))
     else:
-        from twin_node.nodes.calibration import load_base_rig, without_other_clocks
+        from twin_node.nodes.calibration import load_base_rig
+        from twin_node.rig.clock_kinds import without_other_clocks
 
         rig = without_other_clocks(load_base_rig(Path(parameters.file)), since_1970=True)
     return RigSource(rig, tuple(topics_of(camera.name, parameters) for camera in rig.cameras))

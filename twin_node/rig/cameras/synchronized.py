@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Iterator
 
 from twin_node.rig.cameras.image_source import CameraImage, ImageSource
+from twin_node.rig.clock_kinds import without_other_clocks
 from twin_node.rig.errors import RigError
 from twin_node.rig.frames import DecodedImage, FrameAssembler
 from twin_node.rig.synchronizer import ApproximateTimeSynchronizer, SyncParameters, SyncReport, SyncSet
 from twin_node.runtime.clock import SystemClock
-from twin_node.scene import Camera, FrameSet, Rig
+from twin_node.scene import Camera, FrameSet, JointSample, Rig
 
 
 class SynchronizedSource:
     """Sets of undistorted images of running cameras; a `scene.FrameSource` for scripts without a graph.
 
-    A camera that falls silent costs its deadline only when another one sends: sets come as images do. Where this host's
-    clock is put back, grouping and its counts begin anew: all that comes would be late for as long as that.
+    A camera that falls silent costs its deadline only when another one sends: sets come as images do. Stamps are on the
+    rig's clock, where its file has one for stamps since 1970. Where this host's clock is put back, grouping and its
+    counts begin anew: all that comes would be late for as long as that.
     """
 
     def __init__(
@@ -30,6 +33,9 @@ class SynchronizedSource:
                 "name them alike"
             )
         self._source = source
+        timed = without_other_clocks(rig, since_1970=True)
+        self._rig_cameras = {camera.name: camera for camera in timed.cameras}
+        self._joints: queue.SimpleQueue[JointSample] = queue.SimpleQueue()
         self._assembler = FrameAssembler(rig.cameras, width)
         self._synchronizer: ApproximateTimeSynchronizer[CameraImage] = ApproximateTimeSynchronizer(names, parameters)
 
@@ -43,11 +49,18 @@ class SynchronizedSource:
         """What became of the images."""
         return self._synchronizer.report
 
+    def add_joints(self, sample: JointSample) -> None:
+        """Takes the arm's joints at one time of the rig's clock, from any thread; sets have those nearest to them."""
+        self._joints.put(sample)
+
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back."""
         clock = SystemClock(self._begin_anew)
         for image in self._source.images():
-            for ready in self._synchronizer.add(image.camera, image.stamp, image, clock.now()):
+            stamp = self._rig_cameras[image.camera].rig_time(image.stamp)
+            for ready in self._synchronizer.add(image.camera, stamp, image, clock.now()):
+                while not self._joints.empty():
+                    self._assembler.add_joints(self._joints.get())
                 yield self._assembler.assemble(_decoded(ready))
 
     def _begin_anew(self) -> None:
@@ -56,5 +69,5 @@ class SynchronizedSource:
 
 
 def _decoded(ready: SyncSet[CameraImage]) -> dict[str, DecodedImage]:
-    images = [member.payload for member in ready.members if member is not None]
-    return {image.camera: DecodedImage(image.stamp, image.rgb, image.depth) for image in images}
+    members = [member for member in ready.members if member is not None]
+    return {one.payload.camera: DecodedImage(one.stamp, one.payload.rgb, one.payload.depth) for one in members}
