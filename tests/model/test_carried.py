@@ -47,10 +47,14 @@ def same(one: object, other: object, tolerance: float = 0.0) -> bool:
 
 
 def test_the_compiled_cloud_is_the_plain_one() -> None:
+    """Its quaternions are of length 1, as ROS has them; those that are fitted are of any."""
     gaussians, motion = store()
+    gaussians.values[:, QUAT] *= torch.linspace(0.5, 2, CAPACITY)[:, None]
     rows = torch.cat([gaussians.static_rows, gaussians.other_rows])
     assert len(rows) == len(gaussians)
-    assert same(publishing.cloud_of(gaussians, motion), publishing.cloud_reference(gaussians, motion, rows), 1e-6)
+    cloud = publishing.cloud_of(gaussians, motion)
+    assert np.allclose(np.linalg.norm(cloud.quats, axis=1), 1, atol=1e-6)
+    assert same(cloud, publishing.cloud_reference(gaussians, motion, rows), 1e-6)
     found, expected = (f(gaussians, motion.nodes) for f in (publishing.extents_of, publishing.extents_reference))
     assert same(found, expected, 1e-12)
 

@@ -62,7 +62,7 @@ def cloud_reference(gaussians: Gaussians, motion: Motion, rows: Tensor) -> Gauss
         velocities[carried] = (nodes.velocities[row] + turned).float()
     return GaussianCloud(
         means.numpy(),
-        splats.quats[0].cpu().numpy(),
+        torch.nn.functional.normalize(splats.quats[0].cpu(), dim=-1).numpy(),
         splats.scales.cpu().numpy(),
         splats.opacities.cpu().numpy(),
         splats.rgb.clamp(0, 1).cpu().numpy(),

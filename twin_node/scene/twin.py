@@ -29,7 +29,7 @@ class GaussianCloud:
     means: Float32
     """[N, 3] m."""
     quats: Float32
-    """[N, 4] w, x, y, z."""
+    """[N, 4] w, x, y, z, of length 1."""
     scales: Float32
     """[N, 3] m, linear."""
     opacities: Float32

@@ -42,7 +42,10 @@ inline void publish(const PublishRequest &r, int64_t first) {
       r.rgb[3 * i + k] = std::min(std::max(value[11 + k], 0.f), 1.f);
       r.velocities[3 * i + k] = 0;
     }
-    for (int k = 0; k < 4; k++) r.quats[4 * i + k] = static_cast<float>(quat[k]);
+    double square = 0;
+    for (int k = 0; k < 4; k++) square += quat[k] * quat[k];
+    const double length = std::max(std::sqrt(square), 1e-12);  // the fit leaves them of any
+    for (int k = 0; k < 4; k++) r.quats[4 * i + k] = static_cast<float>(quat[k] / length);
     if (node >= 0) velocity_at(r.nodes, node, r.means + 3 * i, r.velocities + 3 * i);
     r.opacities[i] = 1.f / (1.f + std::exp(-value[10]));
     r.tiers[i] = r.tier_of[row];
