@@ -18,7 +18,7 @@ from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, GraphError, kind_of
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
-from twin_node.runtime.qos import Qos
+from twin_node.runtime.qos import Qos, TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
@@ -48,7 +48,7 @@ class Studio:
         self.is_finished = True
 
     def hear(self, topic: str, message: Any) -> None:
-        self._wire.publisher("somebody", topic, kind_of(topic))(message)
+        self._wire.publisher("somebody", topic, kind_of(topic) or TopicKind(message.__msgtype__))(message)
         while self._executor.step(0.0):
             pass
 

@@ -15,7 +15,7 @@ from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, NEWEST, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
 from twin_node.runtime.wire import Encoded, LocalWire, Wire, encoded
-from twin_node.runtime.wire_bus import WireBus
+from twin_node.runtime.wire_bus import BusError, WireBus
 from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_session
 from twin_node.runtime.zenoh_wire import ZenohWire
 
@@ -28,9 +28,11 @@ def text(data: str) -> Any:
     return message_type(STRING)(data=data)
 
 
-def kind_of(topic: str) -> TopicKind:
+def kind_of(topic: str) -> TopicKind | None:
     if topic == "/record":
         return TopicKind(None, NEWEST)
+    if topic == "/foreign":
+        return None
     return TopicKind(STRING, LATCHED if topic == "/map" else RELIABLE)
 
 
@@ -245,3 +247,18 @@ def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any
         open_session(ZenohParameters(endpoint="nonsense"))
     with pytest.raises(WireError, match=r"bad\.json5: not a zenoh configuration"):
         open_session(ZenohParameters(config=str(tmp_path / "bad.json5")))
+
+
+def test_a_topic_that_nobody_knows_is_declared_before_it_is_listened_to() -> None:
+    """Its messages would stay within the process: others find a subscriber by the type and the QoS of its topic."""
+    wire = LocalWire()
+    talker, listener = Side(wire, "talker"), Side(wire, "listener")
+    for use in (listener.listen, talker.bus.is_heard, talker.bus.advertise):
+        with pytest.raises(
+            BusError, match=r"expected to know what /foreign carries, .* declare\('/foreign', TopicKind"
+        ):
+            use("/foreign")
+    listener.bus.declare("/foreign", TopicKind(STRING))
+    listener.listen("/foreign")
+    talker.bus.publish("/foreign", text("known by its message"))
+    assert listener.wait().data == "known by its message"

@@ -18,7 +18,7 @@ import numpy as np
 from twin_node.bench.graph_run import GraphRun
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import read_launch_file
-from twin_node.nodes.topics import OBSTACLES, SEPARATION, kind_of
+from twin_node.nodes.topics import OBSTACLES, SEPARATION, kind_of_own
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 from twin_node.scene import Obstacles
@@ -67,7 +67,7 @@ def _publish_obstacles(endpoint: str, ended: threading.Event) -> None:
     parameters = ZenohParameters(router="builtin", endpoint=endpoint, domain=0)
     router = open_router(parameters)
     wire = ZenohWire(replace(parameters, router="external"))
-    send = wire.publisher("twin", OBSTACLES, kind_of(OBSTACLES))
+    send = wire.publisher("twin", OBSTACLES, kind_of_own(OBSTACLES))
     due = time.monotonic()
     while not ended.wait(max(0.0, due - time.monotonic())):
         due += 1 / RATE_HZ

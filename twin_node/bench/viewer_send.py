@@ -17,7 +17,7 @@ from twin_node.bench.graph_run import free_endpoint
 from twin_node.bench.visitors import PATIENCE_S, free_port, visiting
 from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Playback
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of_own
 from twin_node.runtime.wire import Send
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -58,7 +58,7 @@ def cost(messages: Mapping[str, Message], visitors: int) -> SendCost:
         stack.callback(router.close)
         wire = ZenohWire(ZenohParameters(router="external", endpoint=parameters.endpoint, domain=0))
         stack.callback(wire.close)
-        sends = {topic: wire.publisher("bench", topic, kind_of(topic)) for topic in PER_SET}
+        sends = {topic: wire.publisher("bench", topic, kind_of_own(topic)) for topic in PER_SET}
         nobody = _times(sends, messages)
         port = free_port()
         watching = stack.enter_context(visiting(port, visitors, range(0)))

@@ -74,6 +74,7 @@ _MESSAGE_TYPES = {
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     FRAMES: TopicKind(None, FRESH),
+    **dict.fromkeys((TRUSTED_FRAMES, DRIFT, SEEN, STATE, FORECAST), TopicKind(None, EVERY)),
 }
 """What the graph's own topics carry; a set of images that a newer one has replaced is of no use to anybody."""
 _SUFFIXES = {
@@ -141,20 +142,24 @@ def is_topic_name(topic: str) -> bool:
 def check_remaps(remaps: Mapping[str, str]) -> None:
     """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names."""
     for topic in remaps:
-        if kind_of(topic).msgtype is None and topic not in _MESSAGE_TYPES:
+        if kind_of(topic) is None:
             near = difflib.get_close_matches(topic, _MESSAGE_TYPES, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(_MESSAGE_TYPES))}"
             raise GraphError(f"--remap {topic}:={remaps[topic]}: no node has the topic {topic}; {hint}")
 
 
-def kind_of(topic: str) -> TopicKind:
-    """What a topic carries by its name; of names that say nothing, records that stay within the process."""
+def kind_of(topic: str) -> TopicKind | None:
+    """What a topic carries by its name; None where that says nothing."""
     if topic in _MESSAGE_TYPES:
         return _MESSAGE_TYPES[topic]
-    for suffix, kind in _SUFFIXES.items():
-        if topic.endswith(suffix):
-            return kind
-    return TopicKind(None, EVERY)
+    return next((kind for suffix, kind in _SUFFIXES.items() if topic.endswith(suffix)), None)
+
+
+def kind_of_own(topic: str) -> TopicKind:
+    """What a topic of this graph's carries by its name."""
+    kind = kind_of(topic)
+    assert kind is not None, f"{topic} is no topic of this graph's"
+    return kind
 
 
 def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, ...]:

@@ -53,5 +53,5 @@ class TopicKind:
     """RIHS01 hash of a type that is not built in; None: of the built-in one, or of that which a message brings."""
 
 
-KindOf = Callable[[str], TopicKind]
-"""What is known about a topic by its name."""
+KindOf = Callable[[str], TopicKind | None]
+"""What is known about a topic by its name; None: nothing."""

@@ -25,6 +25,10 @@ class Traffic:
     last_error: str | None
 
 
+class BusError(TwinError):
+    """A topic is to be used of which nobody has said what it carries."""
+
+
 class _Subscription:
     """One callback's messages, decoded in its own thread."""
 
@@ -77,7 +81,10 @@ class WireBus:
         self._cancels: list[Cancel] = []
 
     def declare(self, topic: str, kind: TopicKind) -> None:
-        """Says what a topic carries, before it is first used."""
+        """Says what a topic carries, before it is first used: whatever the graph itself does not have.
+
+        What is published is known by the message, with the QoS of rclcpp's default profile.
+        """
         self._declared[topic] = kind
 
     def resolved(self, topic: str) -> str:
@@ -88,22 +95,30 @@ class WireBus:
         """Send `message`, which may be `Encoded`, to everyone who subscribes to `topic`."""
         send = self._senders.get(topic)
         if send is None:
-            kind = self._kind(topic)
             msgtype = message.msgtype if isinstance(message, Encoded) else getattr(message, "__msgtype__", None)
-            kind = replace(kind, msgtype=msgtype)
+            kind = replace(self._known(topic) or TopicKind(msgtype), msgtype=msgtype)
             send = self._senders[topic] = self._wire.publisher(self._node, self.resolved(topic), kind)
         send(message)
 
     def advertise(self, topic: str) -> None:
-        """Lets others know of a topic before anything is published on it: who finds it only then misses the first."""
+        """Lets others know of a topic before anything is published on it: who finds it only then misses the first.
+
+        Raises `BusError` where nobody knows what it carries.
+        """
         self._wire.advertise(self._node, self.resolved(topic), self._kind(topic))
 
     def is_heard(self, topic: str) -> bool:
-        """Whether anybody would get what is published on `topic`: what is costly is not made for nobody."""
+        """Whether anybody would get what is published on `topic`: what is costly is not made for nobody.
+
+        Raises `BusError` where nobody knows what it carries.
+        """
         return self._wire.is_heard(self._node, self.resolved(topic), self._kind(topic))
 
     def subscribe(self, topic: str, callback: Callable[[Any], None]) -> None:
-        """Call `callback(message)` in the executor's thread for every message on `topic`."""
+        """Call `callback(message)` in the executor's thread for every message on `topic`.
+
+        Raises `BusError` where nobody knows what it carries: by its type and its QoS others find it.
+        """
         self._subscribe(topic, callback, raw=False)
 
     def subscribe_raw(self, topic: str, callback: Callable[[Encoded], None]) -> None:
@@ -141,4 +156,13 @@ class WireBus:
         self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, inbox.offer))
 
     def _kind(self, topic: str) -> TopicKind:
+        kind = self._known(topic)
+        if kind is None:
+            raise BusError(
+                f"node '{self._node}': expected to know what {topic} carries, found no such topic of the graph's own; "
+                f"say so before, for example declare('{topic}', TopicKind('std_msgs/msg/String'))"
+            )
+        return kind
+
+    def _known(self, topic: str) -> TopicKind | None:
         return self._declared.get(topic) or self._kind_of(topic)

@@ -14,7 +14,7 @@ from twin_node.messages import Message, builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, kind_of
+from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
@@ -206,7 +206,9 @@ class Graph:
         """
         self._wire.open()
         if isinstance(self._clock, FollowedClock):
-            self._wire.subscribe(CLOCK_FOLLOWER, self._clock_topic, kind_of(CLOCK), partial(_set_clock, self._clock))
+            self._wire.subscribe(
+                CLOCK_FOLLOWER, self._clock_topic, kind_of_own(CLOCK), partial(_set_clock, self._clock)
+            )
         configured: list[NodeThread] = []
         try:
             for thread in reversed(self._threads):

@@ -10,7 +10,7 @@ from twin_node.nodes.arm import Driving, make_arm_node
 from twin_node.nodes.live.rig_source import read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of
+from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
 from twin_node.robot import UR_NAMES
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import EVERY_NODE
@@ -56,9 +56,9 @@ def _launched_driver(setup: Setup) -> UrParameters | None:
 def _driving(endpoints: Iterable[Endpoint]) -> Driving:
     """Who drives the arm, by what a driver listens to, on whatever topic: trajectories only where it servoes."""
     heard = {e.msgtype for e in endpoints if e.kind is EntityKind.SUBSCRIBER and e.node.name == DRIVER}
-    if kind_of(FOLLOW).msgtype in heard:
+    if kind_of_own(FOLLOW).msgtype in heard:
         return Driving.SERVOED
-    return Driving.BY_SLIDER if kind_of(SEPARATION).msgtype in heard else Driving.NOBODY
+    return Driving.BY_SLIDER if kind_of_own(SEPARATION).msgtype in heard else Driving.NOBODY
 
 
 def _check_driven(where: str, driven: str, model: str) -> None:

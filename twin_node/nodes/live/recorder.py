@@ -100,8 +100,9 @@ class LiveRecorderNode(Node):
                 raise
             self._fail(error)
         for topic in self._topics:
-            if kind_of(topic).msgtype is not None:
-                self.add(topic, kind_of(topic))
+            kind = kind_of(topic)
+            if kind is not None and kind.msgtype is not None:
+                self.add(topic, kind)
         self._find_more()
         self._timers.every(DISCOVERY_S, self._find_more)
         self._timers.every(FLUSH_TIMER_S, self._flush)

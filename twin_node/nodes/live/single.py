@@ -12,7 +12,7 @@ from twin_node.messages import convert
 from twin_node.nodes.launch.kinds import find_factory
 from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import CLOCK, kind_of
+from twin_node.nodes.topics import CLOCK, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
@@ -27,7 +27,7 @@ class _GraphTime:
 
     def __init__(self, wire: ZenohWire, node: str) -> None:
         self._followed = FollowedClock()
-        wire.subscribe(node, CLOCK, kind_of(CLOCK), self._set)
+        wire.subscribe(node, CLOCK, kind_of_own(CLOCK), self._set)
 
     def now(self) -> int:
         """ns."""
