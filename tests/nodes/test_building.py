@@ -1,0 +1,109 @@
+"""The examples of `docs/building.md` run as they stand."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twin_node.messages import convert, message_type
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import kind_of
+from twin_node.rig.cameras import CameraImage, SynchronizedSource
+from twin_node.robot import ur_model
+from twin_node.runtime.clock import SystemClock
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.wire import LocalWire
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import FrameSet, JointSample, ObstacleKind, Obstacles, ObstacleShape, Rig, RigCamera
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "building.md"
+NOW = 1_700_000_000_000_000_000
+
+
+def example(monkeypatch: pytest.MonkeyPatch, number: int, **given: object) -> Any:
+    """A module of one of the page's blocks of Python; names that it takes for granted are given."""
+    block = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)[number]
+    module = ModuleType("example")
+    monkeypatch.setitem(sys.modules, "example", module)
+    vars(module).update(given)
+    exec(compile(block, str(PAGE), "exec", dont_inherit=True), vars(module))
+    return module
+
+
+def box_at(x: float) -> Obstacles:
+    column, stamps = np.zeros(1, np.uint8), np.array([NOW])
+    kinds, shapes = column + np.uint8(ObstacleKind.MOVING), column + np.uint8(ObstacleShape.BOX)
+    place, size, turn = np.array([[x, 0.0, 0.0]]), np.full((1, 3), 0.1), np.eye(4)[:1]
+    return Obstacles(
+        NOW, column.astype(np.uint32), kinds, shapes, place, turn, size, 0 * place, np.zeros(1), stamps, stamps
+    )
+
+
+def test_a_node_of_another_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    wire, executor, alarms = LocalWire(), Executor(), []
+    bus = WireBus(wire, executor, "guard", kind_of)
+    sections = {"guard": {"radius": 0.3}}
+    setup = Setup("guard", bus, SystemClock(), executor, sections, "test", executor.stop, wire.endpoints)
+    node = example(monkeypatch, 0).make_guard(setup)
+    node.configure()
+    node.activate()
+    wire.subscribe("test", "/guard/alarm", TopicKind("std_msgs/msg/Bool"), alarms.append)
+    send = {topic: wire.publisher("test", topic, TopicKind(None)) for topic in ("/cell/door", "/twin/obstacles")}
+    send["/cell/door"](message_type("std_msgs/msg/Bool")(data=True))
+    for x in (1.2, 1.4):
+        send["/twin/obstacles"](convert.obstacles_to_message(box_at(x)))
+        while executor.step(0.0):
+            pass
+    assert [alarm.data for alarm in alarms] == [True, False]
+
+
+class TwoCameras:
+    """A driver of one's own: what stands on a table, and something that slides over it."""
+
+    cameras, health = ("left", "right"), ()
+
+    def __init__(self) -> None:
+        self.now = NOW
+        self._table = np.random.default_rng(0).integers(0, 255, (36, 48, 3), np.uint8)
+
+    def images(self) -> Iterator[CameraImage]:
+        for number in range(4):
+            self.now = NOW + 33_000_000 * number
+            rgb, depth = self._table.copy(), np.full((36, 48), 1.5, np.float32)
+            rgb[10:20, 10 + 3 * number : 20 + 3 * number], depth[10:20, 10 + 3 * number : 20 + 3 * number] = 200, 1.3
+            for name in self.cameras:
+                yield CameraImage(name, self.now, rgb, depth)
+
+    def close(self) -> None:
+        pass
+
+
+class WithJoints(SynchronizedSource):
+    """Knows where the arm is, as if another thread had told."""
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        names = ur_model("ur5e").joint_names
+        self.add_joints(JointSample(NOW, names, np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0]), np.zeros(6)))
+        return super().__iter__()
+
+
+def test_cameras_of_ones_own_without_a_graph(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras, K = TwoCameras(), np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
+    monkeypatch.setattr("time.time_ns", lambda: cameras.now)
+    poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
+    rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
+
+    monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", WithJoints)
+    made = example(monkeypatch, 1, cameras=cameras, rig=rig)
+    assert (made.obstacles.kinds == ObstacleKind.MOVING).any()
+    assert re.fullmatch(r"(\d+%: [a-zA-Z ]+\n)+", capsys.readouterr().out)
