@@ -174,6 +174,32 @@ def test_parameters_that_no_node_reads_are_refused(small: Path, tmp_path: Path) 
         load_parameters(given)
 
 
+def test_what_is_said_of_every_node_and_no_node_has_is_refused(small: Path) -> None:
+    """A misspelt model of the arm left the default, in silence."""
+    given = small.with_name("given.yaml")
+    for key, hint in (
+        ("kinematcs: my.yaml", "did you mean 'kinematics'"),
+        ("whatever: 1", "write it into the section of its node"),
+    ):
+        given.write_text(f"/**: {{ros__parameters: {{rig: {{scenario: demo}}, {key}}}}}")
+        words = rf"/\*\*: unknown parameter '{key.partition(':')[0]}', which no node has; {hint}"
+        with pytest.raises(TwinError, match=words):
+            read_launch_file(small, ["log:=a"], [], [given])
+        with pytest.raises(TwinError, match=words):
+            load_parameters(given)
+    given.write_text("/**: {ros__parameters: {robot: 127.0.0.1, delay: 1.0, output: x, model: ur5e}}")
+    assert read_launch_file(small, ["log:=a"], [], [given]).sections["/**"]["robot"] == "127.0.0.1"
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_time_is_that_of_the_clock_where_parameters_of_every_node_say_so(small: Path, told: bool) -> None:
+    small.write_text(SMALL.replace("  processes:", f"  use_sim_time: {not told}\n  processes:", 1))
+    assert read_launch_file(small, ["log:=a"]).follows_clock is not told
+    assert read_launch_file(small, ["log:=a"], [f"/**.use_sim_time:={told}"]).follows_clock is told
+    with pytest.raises(TwinError, match=r"/\*\*: use_sim_time: expected true or false"):
+        read_launch_file(small, ["log:=a"], ["/**.use_sim_time:=1"])
+
+
 def test_what_parameters_refuse_names_where_they_came_from(tmp_path: Path) -> None:
     plan = read_launch_file("launch/replay.yaml", ["log:=a"], ["synchronizer.width:=80"], [Path("launch/demo.yaml")])
     assert plan.where == f"{plan.path} (with launch/demo.yaml, -p synchronizer.width:=80)"

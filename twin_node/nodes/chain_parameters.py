@@ -12,7 +12,7 @@ from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters
 from twin_node.model import ModelParameters
 from twin_node.nodes.arm_parameters import ArmParameters
-from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section, check_shared
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
@@ -60,7 +60,9 @@ def load_parameters(path: Path | None) -> ChainParameters:
     path = resources.find(path or DEFAULT_PARAMETERS)
     sections = read_parameters(path)
     for name, values in sections.items():
-        if name not in (EVERY_NODE, *CHAIN_SECTIONS):
+        if name == EVERY_NODE:
+            check_shared(values, f"{path}: {name}")
+        elif name not in CHAIN_SECTIONS:
             check_section(name, values, str(path))
     return chain_parameters(sections, str(path))
 

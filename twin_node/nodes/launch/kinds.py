@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import importlib
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, get_type_hints
 
 from twin_node.nodes.topics import GraphError
 
@@ -29,6 +30,20 @@ KINDS = {
     "viewer_topics": "twin_node.nodes.live.viewer_topics:make_viewer_topics",
 }
 """Node name -> module and function."""
+
+PARAMETERS = {
+    "cameras": "twin_node.nodes.live.cameras:CamerasParameters",
+    "cell": "twin_node.nodes.live.cell:CellParameters",
+    "player": "twin_node.nodes.live.player:PlayParameters",
+    "recorder": "twin_node.nodes.live.recorder:RecordParameters",
+    "ur_driver": "twin_node.arm.ur:UrParameters",
+    "ur_sim": "twin_node.nodes.live.arm_stand_in:UrSimParameters",
+    "viewer": "twin_node.nodes.viewer.live:ViewerParameters",
+}
+"""Node name -> module and class of the parameters of its own section."""
+
+SHARED = {"rig", "use_sim_time"}
+"""What the section for every node says that is no single node's: where the rig is, and whether time is `/clock`'s."""
 
 SOURCES = ("cameras", "player", "recorder", "ur_driver", "ur_sim")
 """Nodes that a jump in time does not concern: they go by a clock that has none, or only write down what comes."""
@@ -58,6 +73,21 @@ def check_section(name: str, values: Mapping[str, Any], where: str) -> None:
         )
 
 
+def check_shared(values: Mapping[str, Any], where: str) -> None:
+    """Raises `GraphError` for parameters of every node that none of ours has."""
+    unknown = set(values) - SHARED
+    if not unknown:
+        return
+    from twin_node.nodes.chain_parameters import ChainParameters  # much to load where nothing is said of every node
+
+    kinds = [*get_type_hints(ChainParameters).values(), *map(_loaded, PARAMETERS.values())]
+    known = SHARED.union(*({field.name for field in dataclasses.fields(kind)} for kind in kinds))
+    for key in sorted(map(str, unknown - known)):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else "write it into the section of its node"
+        raise GraphError(f"{where}: unknown parameter '{key}', which no node has; {hint}")
+
+
 def is_foreign(name: str) -> bool:
     """Whether another package makes the node."""
     return name in _foreign()
@@ -69,8 +99,7 @@ def find_factory(name: str) -> Callable[[Any], Any]:
     if name in foreign:
         made: Callable[[Any], Any] = foreign[name].load()
         return made
-    module, _, function = KINDS[name].partition(":")
-    factory: Callable[[Any], Any] = getattr(importlib.import_module(module), function)
+    factory: Callable[[Any], Any] = _loaded(KINDS[name])
     return factory
 
 
@@ -83,6 +112,12 @@ def nearest(name: str, known: set[str]) -> str:
 def _check_known(name: str, known: set[str], where: str) -> None:
     if name not in known:
         raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
+
+
+def _loaded(place: str) -> Any:
+    """What a module has by a name."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def _foreign() -> dict[str, Any]:

@@ -16,6 +16,7 @@ from twin_node.nodes.launch.kinds import (
     KINDS,
     check_kind,
     check_section,
+    check_shared,
     is_foreign,
     nearest,
 )
@@ -111,18 +112,18 @@ def read_launch_file(
     sections = _substituted(read_parameters(path), values)
     for file in parameter_files:
         given_here = read_parameters(resources.find(file))
-        _check_sections(given_here, str(file))
+        _check_sections(given_here, str(file), processes)
         sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
     _check_takes_part(parameters, entries, path)
     where = _named(path, parameter_files, parameters)
-    _check_sections(sections, where)
+    _check_sections(sections, where, processes)
     return LaunchPlan(
         path,
         where,
         processes,
         sections,
-        follows_clock=_flag(section, "use_sim_time", False, f"{path}: {LAUNCH}"),
+        follows_clock=_follows_clock(section, sections, where),
         is_lockstep=is_lockstep,
         zenoh=fill(ZenohParameters, section.get("zenoh") or {}, f"{path}: {LAUNCH}: zenoh"),
     )
@@ -138,9 +139,14 @@ def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
         raise GraphError(
             "--remap: in lockstep there is no graph; rename what the log holds with -p player.remap:=[A:=B]"
         )
-    if not any(is_foreign(node) for process in plan.processes for node in process.nodes):
+    if not _have_foreign(plan.processes):
         check_remaps(pairs)
     return replace(plan, remaps=pairs)
+
+
+def _have_foreign(processes: Sequence[ProcessPlan]) -> bool:
+    """Whether a node of another package takes part."""
+    return any(is_foreign(node) for process in processes for node in process.nodes)
 
 
 def _named(path: Path, parameter_files: Sequence[Path], parameters: Sequence[str]) -> str:
@@ -302,6 +308,12 @@ def _flag(section: Mapping[str, Any], key: str, default: bool, where: str) -> bo
     return value
 
 
+def _follows_clock(section: Mapping[str, Any], sections: Sections, where: str) -> bool:
+    """As the file's launch section says, unless parameters of every node say otherwise, as those of ROS nodes do."""
+    told = _flag(section, "use_sim_time", False, f"{where}: {LAUNCH}")
+    return _flag(sections.get(EVERY_NODE, {}), "use_sim_time", told, f"{where}: {EVERY_NODE}")
+
+
 def _check_nodes_once(processes: Sequence[ProcessPlan], path: Path) -> None:
     """Two nodes of one name would contradict each other."""
     place: dict[str, str] = {}
@@ -361,10 +373,14 @@ def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _check_sections(sections: Sections, where: str) -> None:
+def _check_sections(sections: Sections, where: str, processes: Sequence[ProcessPlan]) -> None:
+    """Raises `GraphError` for parameters that nobody reads; a node of another package that takes part may read any of
+    those for every node."""
     for name, values in sections.items():
         if name != EVERY_NODE:
             check_section(name, values, f"{where}: parameters")
+        elif not _have_foreign(processes):
+            check_shared(values, f"{where}: parameters: {name}")
         _check_plain(values, f"{where}: {name}")
 
 
