@@ -53,6 +53,20 @@ def test_every_layer_holds_the_ball_at_its_time() -> None:
         assert len(layer.probability) == len(layer.indices)
 
 
+def test_what_a_forecast_goes_on_with_cannot_be_written_to() -> None:
+    """Whoever moves a grid to another frame in place would move every forecast from then on."""
+    forecaster = Forecaster(GRID)
+    for state in moving_ball(3, with_depth=True):
+        found = forecaster.update(state, state.stamp + LATENCY_NS)
+    occupancy, motion = found.occupancy, found.motion
+    kept = (occupancy.grid.origin, occupancy.static.indices, occupancy.static.probability)
+    for array in (*kept, motion.centers, motion.velocities, motion.radii, motion.sigmas):
+        assert array is not None and len(array)
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    assert GRID.origin.flags.writeable, "the caller's own array is the caller's"
+
+
 def test_layers_hold_the_ball_where_it_is_when_they_are_read() -> None:
     """A forecast that is a quarter of a second under way looks as much farther ahead."""
     forecaster, speed, late_ns = Forecaster(GRID), 1.2, 250_000_000

@@ -178,6 +178,11 @@ def test_unknown_depth_is_zero() -> None:
     assert not view.depth.any()
 
 
+def test_the_view_has_a_pose_of_its_own() -> None:
+    """Whoever moves a view's camera in place does not move the rig's."""
+    assert not np.shares_memory(Undistorter(PINHOLE).camera.T_base_cam, PINHOLE.T_base_cam)
+
+
 def test_depth_in_whole_millimetres_is_refused() -> None:
     """Taken for metres, all that it measures would be 1 km away and all before it free."""
     with pytest.raises(RigError, match=r"camera cam: expected depth in metres .* found uint16.* divide by 1000"):

@@ -29,7 +29,7 @@ from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Whole
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
-from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32
+from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32, read_only
 from twin_node.side_thread import Errand, SideThread
 
 
@@ -84,7 +84,7 @@ class _Standing:
         mask = Bits.of_indices(margin.outer.dims, static.indices)
         standing = margin.cropped(mask).indices().astype(np.uint32)
         certain = np.full(len(standing), 255, np.uint8)
-        return cls(static, mask, OccupancyLayer(static.horizon_ns, standing, certain))
+        return cls(static, mask, OccupancyLayer(static.horizon_ns, read_only(standing), read_only(certain)))
 
 
 class Observer:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState
+from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState, read_only
 
 _NEIGHBOURS = 8
 """Forecast places that are looked at about a part: those nearest to it."""
@@ -87,7 +87,7 @@ class Forecaster:
 
     def __init__(self, grid: Grid, parameters: ForecastParameters | None = None, arm: ArmModel | None = None) -> None:
         """`arm`: the one that the states' joints belong to; its own space is left out. None: there is none."""
-        self.grid = grid
+        self.grid = grid = replace(grid, origin=read_only(grid.origin))
         self.parameters = parameters or ForecastParameters()
         self._observer = Observer(grid, self.parameters.carving, self.parameters.static, arm)
         self._control = CoverageControl(self.parameters.bound)
@@ -199,8 +199,8 @@ class Forecaster:
         self._bound_radius = float(np.median(radii[-1])) if radii.shape[1] else 0.0
         passed = passed_between(self.grid, evidence.parts, prediction.displacements, radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
-        sigmas = evidence.motion.sigmas
-        return PartMotion(self._tracks.positions[-1], self._tracks.velocities, radii, experts, sigmas, passed)
+        places, velocities = read_only(self._tracks.positions[-1]), read_only(self._tracks.velocities)
+        return PartMotion(places, velocities, read_only(radii), experts, read_only(evidence.motion.sigmas), passed)
 
     def _new_predictor(self) -> Predictor:
         """Without any record. Nothing falls out of the grid: below it is a table or the floor."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.forecast.errors import ForecastError
-from twin_node.scene import Bool, Float64, Grid, UInt32
+from twin_node.scene import Bool, Float64, Grid, UInt32, read_only
 
 MOST_VOXELS = 1_500_000
 """Above this many voxels two CPU cores no longer keep up with camera rate; the voxels are made larger."""
@@ -41,7 +41,7 @@ def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int 
             f"{across} m; correct `workspace` in the rig file: divide millimetres by 1000"
         )
     dims = np.maximum(np.ceil(extent / size - 1e-9), 1).astype(int)
-    return Grid(corners[0].copy(), size, (int(dims[0]), int(dims[1]), int(dims[2])))
+    return Grid(read_only(corners[0].copy()), size, (int(dims[0]), int(dims[1]), int(dims[2])))
 
 
 def encode_runs(mask: Bool) -> UInt32:

@@ -38,7 +38,8 @@ class Undistorter:
         if min(width, height) < 2:
             raise RigError(f"camera {camera.name}: expected a working size of at least 2x2, found {width}x{height}")
         self.camera = Camera(
-            camera.name, width, height, scaled_intrinsics(camera, width, height), camera.T_base_cam, camera.sigma_m
+            *(camera.name, width, height, scaled_intrinsics(camera, width, height)),
+            *(camera.T_base_cam.copy(), camera.sigma_m),
         )
         """The pinhole camera that the output was seen by."""
         self._distorted = bool(np.any(camera.D))

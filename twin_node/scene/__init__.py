@@ -1,6 +1,6 @@
 """What flows between the rooms: frozen records over numpy arrays, in `base_link`, SI units, stamps in int ns."""
 
-from twin_node.scene.arrays import Bool, Float32, Float64, UInt8, UInt32
+from twin_node.scene.arrays import Bool, Float32, Float64, UInt8, UInt32, read_only
 from twin_node.scene.camera_names import NAME_WANTED, as_camera_name, is_camera_name
 from twin_node.scene.future import (
     HORIZONS_NS,
@@ -50,4 +50,5 @@ __all__ = [
     "View",
     "as_camera_name",
     "is_camera_name",
+    "read_only",
 ]
