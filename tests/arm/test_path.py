@@ -87,6 +87,15 @@ def test_a_path_ahead_is_in_the_models_order_and_stands_at_its_end() -> None:
     np.testing.assert_allclose(ahead.positions[5:], np.tile(np.arange(6.0)[::-1], (16, 1)))
 
 
+@pytest.mark.parametrize(("stamp", "found"), [(100_000_001, "was over 1e-09 s before"), (-(10**9), "begins 1 s later")])
+def test_a_path_that_does_not_hold_now_tells_nothing_of_the_arm(stamp: int, found: str) -> None:
+    """It would seem to stand at an end of it, and closing in on nobody: so would one of another clock."""
+    model = ur_model("ur5e")
+    path = JointPath(model.joint_names, np.array([0, 100_000_000]), np.array([np.zeros(6), np.arange(6.0)]))
+    with pytest.raises(ArmError, match=f"holds at the time that is asked for, found one that {found}; give"):
+        path_ahead(model, path, stamp)
+
+
 def test_extrapolation_keeps_speed_and_limits() -> None:
     model = ur_model("ur10e")
     q = np.array([0.0, 6.2, 0.0, 0.0, 0.0, 7.0])

@@ -41,10 +41,18 @@ def sample_path(path: JointPath, stamps: NDArray[np.integer]) -> Float64:
 
 
 def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
-    """The path's next 200 ms from a time on (ns), in the model's own order of joints.
+    """The path's next 200 ms from a time on (ns), in the model's own order of joints; the arm stands from its end on.
 
-    Raises `ArmError` or `RobotError` for a path that the arm cannot follow.
+    Raises `ArmError` or `RobotError` for a path that the arm cannot follow, and `ArmError` for one that has not begun
+    or is over: of where the arm is it tells nothing.
     """
+    if len(path.stamps) and not path.stamps[0] <= stamp <= path.stamps[-1]:
+        early_s, late_s = (path.stamps[0] - stamp) * 1e-9, (stamp - path.stamps[-1]) * 1e-9
+        found = f"begins {early_s:.3g} s later" if early_s > 0 else f"was over {late_s:.3g} s before"
+        raise ArmError(
+            f"joint path: expected one that holds at the time that is asked for, found one that {found}; give what the "
+            "arm does now, stamped by the clock of that time, or where its joints are (`path_from_sample`)"
+        )
     stamps = stamp + ahead_offsets()
     return JointPath(model.joint_names, stamps, model.order(path.names, sample_path(path, stamps)))
 
