@@ -110,7 +110,7 @@ def test_extrapolation_keeps_speed_and_limits() -> None:
 
 
 @given(
-    start=st.floats(-6.2, 6.2), velocity=st.floats(-20.0, 20.0), age_ms=st.integers(0, 3_000), joint=st.integers(0, 5)
+    start=st.floats(-6.2, 6.2), velocity=st.floats(-20.0, 20.0), age_ms=st.integers(0, 1_000), joint=st.integers(0, 5)
 )
 @settings(deadline=None)
 def test_an_old_sample_leads_nowhere_that_the_arm_cannot_go(
@@ -123,6 +123,16 @@ def test_an_old_sample_leads_nowhere_that_the_arm_cannot_go(
     assert (path.positions <= model.upper).all()
     seconds = path.stamps[:, None] * 1e-9
     assert (np.abs(path.positions - at) <= model.max_velocity * seconds + 1e-9).all()
+
+
+@pytest.mark.parametrize("late_ns", [1_000_000_001, -1_000_000_001, 1_700_000_000 * 10**9])
+def test_a_sample_of_another_time_tells_nothing_of_the_arm(late_ns: int) -> None:
+    """Its joints would seem to stand at the ends of their ranges, and to close in on nobody."""
+    model = ur_model("ur5e")
+    with pytest.raises(
+        ArmError, match=r"joints: expected them within 1 s of the time that is asked for, found some of"
+    ):
+        path_from_sample(model, JointSample(0, model.joint_names, np.zeros(6), np.full(6, 0.1)), late_ns)
 
 
 def test_extrapolation_starts_from_the_samples_own_time_and_order() -> None:

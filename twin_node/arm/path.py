@@ -13,6 +13,9 @@ AHEAD_NS = HORIZONS_NS[-1]
 """How far ahead the arm is looked at, ns: as far as obstacles are forecast."""
 STEP_NS = 10_000_000
 """Time between two looked-at poses, ns: at 1 m/s the arm moves 10 mm, far less than its own width."""
+_SAMPLE_LASTS_NS = 1_000_000_000
+"""An arm is taken to keep its velocities for so long, ns: twice as long as live joints are believed, for a forecast
+begins later."""
 
 
 def ahead_offsets() -> NDArray[np.int64]:
@@ -73,12 +76,26 @@ def path_from_sample(model: ArmModel, sample: JointSample, stamp: int) -> JointP
     """The next 200 ms from a time on (ns) of an arm that has kept, and keeps, the velocities of a sample.
 
     The sample's joints may be in any order; limits hold since the sample as `extrapolate` has them. Raises `RobotError`
-    where a joint is missing or a value is not finite.
+    where a joint is missing or a value is not finite, and `ArmError` for a sample that is more than a second from that
+    time, or by another clock: of where the arm is it tells nothing.
+    """
+    if abs(stamp - sample.stamp) > _SAMPLE_LASTS_NS:
+        raise ArmError(
+            f"joints: expected them within {_SAMPLE_LASTS_NS / 1e9:g} s of the time that is asked for, found some of "
+            f"{(stamp - sample.stamp) / 1e9:.3g} s before it; give the newest, stamped by the clock of that time"
+        )
+    return extrapolate(model, gone_since(model, sample, stamp), model.order(sample.names, sample.velocities), stamp)
+
+
+def gone_since(model: ArmModel, sample: JointSample, stamp: int) -> Float64:
+    """Angles [J] (rad) at a time (ns), however late, of an arm that has kept the velocities of a sample until then.
+
+    Raises `RobotError` where a joint is missing or a value is not finite.
     """
     q, qd = model.order(sample.names, sample.positions), model.order(sample.names, sample.velocities)
     age_s = max(stamp - sample.stamp, 0) * 1e-9
-    now = kept_up(model, model.check_positions(q), model.check_positions(qd), np.array([age_s]))[0]
-    return extrapolate(model, now, qd, stamp)
+    now: Float64 = kept_up(model, model.check_positions(q), model.check_positions(qd), np.array([age_s]))[0]
+    return now
 
 
 def kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:

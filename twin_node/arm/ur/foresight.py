@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twin_node.arm.path import extrapolate, path_from_sample
+from twin_node.arm.path import extrapolate, gone_since
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.arm.ur.sample import UrSample
 from twin_node.robot import ArmModel
@@ -38,5 +38,4 @@ class Foresight:
         else:
             velocities = self._programmed.recalled(velocities)
         told = JointSample(received, self._model.joint_names, sample.target_q, sample.target_qd)
-        here = path_from_sample(self._model, told, stamp).positions[0]
-        return extrapolate(self._model, here, velocities, stamp)
+        return extrapolate(self._model, gone_since(self._model, told, stamp), velocities, stamp)
