@@ -141,10 +141,12 @@ def is_topic_name(topic: str) -> bool:
 
 def check_remaps(remaps: Mapping[str, str]) -> None:
     """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names."""
+    known = [topic for topic, kind in _MESSAGE_TYPES.items() if kind.msgtype is not None]
     for topic in remaps:
-        if kind_of(topic) is None:
-            near = difflib.get_close_matches(topic, _MESSAGE_TYPES, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(_MESSAGE_TYPES))}"
+        kind = kind_of(topic)
+        if kind is None or kind.msgtype is None:
+            near = difflib.get_close_matches(topic, known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known))}"
             raise GraphError(f"--remap {topic}:={remaps[topic]}: no node has the topic {topic}; {hint}")
 
 
