@@ -241,6 +241,23 @@ def test_one_camera_is_enough_to_run() -> None:
     assert len(state.gaussians.ids) > 0
 
 
+def test_a_past_stamp_has_the_cloud_that_was_published_then(followed: tuple[WindowModel, list[TwinState]]) -> None:
+    model, states = followed
+    for state in (states[-6], states[-1]):
+        found, published = model.cloud(state.stamp), state.gaussians
+        found = found.only(np.argsort(found.ids))
+        published = published.only(np.argsort(published.ids))
+        for name in ("ids", "tiers", "means", "quats", "scales", "opacities", "rgb"):
+            np.testing.assert_allclose(getattr(found, name), getattr(published, name), rtol=0, atol=2e-6, err_msg=name)
+    rigid = found.tiers == Tier.RIGID
+    assert abs(np.median(found.velocities[rigid, 0]) - BLOCK_SPEED) < 0.2 * BLOCK_SPEED
+    assert not found.velocities[found.tiers == Tier.STATIC].any()
+    between = model.cloud((states[-6].stamp + states[-5].stamp) // 2)
+    assert len(between.means) == len(states[-5].gaussians.means)
+    with pytest.raises(ModelError, match="cloud: no set has been seen yet"):
+        WindowModel(QUICK).cloud()
+
+
 def test_a_past_stamp_renders_the_past(followed: tuple[WindowModel, list[TwinState]]) -> None:
     model, states = followed
     now = model.render(CAMERAS[1]).rgb

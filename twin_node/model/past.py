@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from twin_node.model.gaussians import Gaussians, Population
 from twin_node.model.nodes import NEVER, Nodes, Poses
@@ -15,6 +16,8 @@ class Moment:
     """The Gaussians and the poses of their nodes at one stamp."""
 
     population: Population
+    ids: Tensor
+    """[n] int64, of its Gaussians."""
     poses: Poses
     """At `stamp` alone."""
     stamp: int
@@ -35,6 +38,7 @@ class Past:
         self._values = torch.zeros(window, *gaussians.values.shape, device=device)
         self._alive = torch.zeros(window, count, dtype=torch.bool, device=device)
         self._tiers = torch.zeros(window, count, dtype=torch.uint8, device=device)
+        self._ids = torch.zeros(window, count, dtype=torch.int64, device=device)
         self._carriers = torch.zeros(window, count, dtype=torch.int16, device=device)
         self._anchors = torch.zeros(window, nodes, 3, dtype=torch.float64)
         self._slot = -1
@@ -48,6 +52,7 @@ class Past:
         self._values[slot] = gaussians.values
         self._alive[slot] = gaussians.alive
         self._tiers[slot] = gaussians.tiers
+        self._ids[slot] = gaussians.ids
         self._carriers[slot] = gaussians.nodes
         self._anchors[slot] = nodes.anchors
 
@@ -66,4 +71,4 @@ class Past:
             self._carriers[slot, rows].long(),
             self._anchors[slot],
         )
-        return Moment(population, nodes.poses_at(stamp), stamp)
+        return Moment(population, self._ids[slot, rows], nodes.poses_at(stamp), stamp)

@@ -13,6 +13,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
 from twin_node.model.node_requests import ExtentRequest, PublishRequest
 from twin_node.model.nodes import Nodes, Poses
+from twin_node.model.past import Moment
 from twin_node.model.rotations import rotate
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import GaussianCloud, NodeStates
@@ -70,6 +71,31 @@ def cloud_reference(gaussians: Gaussians, motion: Motion, rows: Tensor) -> Gauss
         gaussians.tiers[rows].cpu().numpy(),
         gaussians.ids[rows].cpu().numpy().astype(np.uint32),
         torch.where(carrier >= 0, _published(nodes)[carrier], -1).numpy().astype(np.int32),
+    )
+
+
+VELOCITY_NS = 10_000_000
+"""Between two places that tell a past velocity, ns: less than from one set to the next, and far from rounding."""
+
+
+def cloud_at(moment: Moment, motion: Motion) -> GaussianCloud:
+    """The Gaussians of a moment of the window as a cloud; `nodes` are -1, for no nodes of then are told."""
+    population = moment.population
+    before = motion.nodes.poses_at(moment.stamp - VELOCITY_NS)
+    with torch.no_grad():
+        splats = motion.place_population(population, moment.poses, [moment.stamp])
+        earlier = motion.place_population(population, before, [moment.stamp - VELOCITY_NS])
+    means, count = splats.means[0].cpu(), len(population.tiers)
+    return GaussianCloud(
+        means.numpy(),
+        torch.nn.functional.normalize(splats.quats[0].cpu(), dim=-1).numpy(),
+        splats.scales.cpu().numpy(),
+        splats.opacities.cpu().numpy(),
+        splats.rgb.clamp(0, 1).cpu().numpy(),
+        ((means - earlier.means[0].cpu()) / (VELOCITY_NS * 1e-9)).numpy(),
+        population.tiers.cpu().numpy(),
+        moment.ids.cpu().numpy().astype(np.uint32),
+        np.full(count, -1, np.int32),
     )
 
 

@@ -24,8 +24,8 @@ from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import NEVER, Nodes
 from twin_node.model.parameters import ModelError, ModelParameters
-from twin_node.model.past import Past
-from twin_node.model.publishing import cloud_of, node_states_of
+from twin_node.model.past import Moment, Past
+from twin_node.model.publishing import cloud_at, cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.model.seeding import LARGEST_SEED, Seeds, seed
@@ -246,10 +246,23 @@ class WindowModel:
         Raises `ModelError` before the first set has been looked at.
         """
         begun = self._required("render")
-        moment = begun.past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
+        moment = self._moment(begun, stamp)
         with torch.no_grad():
             splats = begun.motion.place_population(moment.population, moment.poses, [moment.stamp])
         return self._shoot(splats, camera)
+
+    def cloud(self, stamp: int | None = None) -> GaussianCloud:
+        """The Gaussians that `render` draws at `stamp` (ns, inside the window; None: the newest), as they are then.
+
+        Velocities are those of the last 10 ms, `nodes` are -1. Raises `ModelError` before the first set has been looked
+        at.
+        """
+        begun = self._required("cloud")
+        with torch_alone():
+            return cloud_at(self._moment(begun, stamp), begun.motion)
+
+    def _moment(self, begun: _Begun, stamp: int | None) -> Moment:
+        return begun.past.at(self._nodes.stamp if stamp is None else stamp, self._nodes)
 
     def render_frozen(self, camera: Camera) -> ModelImage:
         """The model as it was fitted to the first set: the baseline that every later rendering must beat.
