@@ -23,7 +23,11 @@ class LifecycleError(RuntimeError):
 
 
 class Node:
-    """A lifecycle node (design.ros2.org/articles/node_lifecycle): subclasses fill in the `on_` methods they need."""
+    """A lifecycle node (design.ros2.org/articles/node_lifecycle): subclasses fill in the `on_` methods they need.
+
+    What it has subscribed to reaches it from `on_configure` on, before it is active too, so that no latched message is
+    missed: a node that drives anything looks at `state` first.
+    """
 
     def __init__(self, name: str, bus: Bus, clock: Clock) -> None:
         self.name = name
@@ -42,12 +46,12 @@ class Node:
         self.on_configure()
 
     def activate(self) -> None:
-        """Inactive to active: messages are now acted on."""
+        """Inactive to active: all others of the graph are there; begin."""
         self._move(LifecycleState.INACTIVE, LifecycleState.ACTIVE)
         self.on_activate()
 
     def deactivate(self) -> None:
-        """Active to inactive: messages are ignored, state is kept."""
+        """Active to inactive: end what was begun, state is kept."""
         self._move(LifecycleState.ACTIVE, LifecycleState.INACTIVE)
         self.on_deactivate()
 
