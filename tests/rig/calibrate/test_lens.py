@@ -11,7 +11,7 @@ from twin_node.geometry import pose, transform
 from twin_node.rig import RigError
 from twin_node.rig.calibrate.boards import CharucoBoard, Corners
 from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
-from twin_node.rig.calibrate.lenses import Lens, project, rays_of
+from twin_node.rig.calibrate.lenses import Lens, in_view, project, rays_of
 from twin_node.rig.calibrate.normal_equations import NormalEquations
 from twin_node.scene import Float64
 
@@ -90,3 +90,12 @@ def test_what_nothing_tells_has_a_large_variance_and_not_none() -> None:
     equations.add_mixed(np.arange(6)[None], np.arange(3), (J[:, :6].T @ J[:, 6:])[None])
     equations.add_outer(np.arange(3), J[:, 6:].T @ J[:, 6:], np.zeros(3))
     assert (np.diag(equations.outer_covariance())[1:] > 1e6).all()
+
+
+def test_what_a_distortion_folds_back_into_the_image_is_not_in_view() -> None:
+    lens = Lens(
+        640, 480, np.array([[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]), "plumb_bob", np.array([-0.35] + 4 * [0])
+    )
+    points = np.array([[0.0, 0, 1], [0.4, 0.2, 1], [1.6, 0.1, 1], [0.9, 0, 1], [0.1, 0, -1]])
+    assert np.abs(project(lens, points).pixels[2] - [320, 240]).max() < 200  # well inside the image
+    assert in_view(lens, points).tolist() == [True, True, False, False, False]

@@ -20,7 +20,15 @@ from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
 from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
 from twin_node.rig.calibrate.pose_graph import board_pose
-from twin_node.rig.calibrate.results import board_as_base, camera_poses, pose_covariances, rig_file_of, settled
+from twin_node.rig.calibrate.results import (
+    board_as_base,
+    camera_poses,
+    metres_per_pixel,
+    pose_covariances,
+    rig_file_of,
+    settled,
+    sight_sigmas,
+)
 from twin_node.rig.calibrate.rig_fit import common_sightings
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64
@@ -107,6 +115,19 @@ def test_the_rig_file_keeps_what_was_found(solution: RigSolution, tmp_path: Path
         assert 0 < evidence.median_px < 1
         assert 0 < camera.sigma_m < 0.005
     np.testing.assert_allclose(again.evidence[1].pose_covariance, pose_covariances(solution, np.eye(4))[1])
+
+
+def test_places_that_a_camera_does_not_see_say_nothing_of_its_agreement() -> None:
+    """Their lens is extrapolated there: a rig that was good to 0.3 mm stated 14 once the board had wandered out."""
+    rng = np.random.default_rng(0)
+    moves, shared, covariance = rng.normal(size=(2, 9, 2, 4)), rng.normal(size=(2, 9, 2, 6)), np.diag([1.0, 4, 2, 3])
+    everything = sight_sigmas(moves, shared, covariance)
+    assert everything.min() > 0
+    unseen = [np.concatenate([values, np.zeros((2, 5, *values.shape[2:]))], axis=1) for values in (moves, shared)]
+    np.testing.assert_allclose(sight_sigmas(unseen[0], unseen[1], covariance), everything)
+    lens, ahead = a_lens(), np.array([[0.1, 0.2, 1.0], [0.5, 0.3, 2.0]])
+    told = metres_per_pixel(lens, np.concatenate([ahead, [[1.2, 0, 1], [0.1, 0.2, -1]]]))
+    np.testing.assert_allclose(told, [1 / 520.26, 2 / 520.26, 0, 0], rtol=1e-4)
 
 
 def test_the_board_can_be_the_base_where_it_lies_still() -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from twin_node.rig.rig_checks import DISTORTION_LENGTHS
-from twin_node.scene import Float64, RigCamera
+from twin_node.scene import Bool, Float64, RigCamera
 
 COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
 """Distortion models and how many coefficients are calibrated of each."""
@@ -35,6 +35,9 @@ BEHIND_M = 1e-3
 
 INVERSION_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
 """Rounds of undoing the distortion, and the change that ends them: strong lenses need more than OpenCV's five."""
+
+SAME_RAY = 1e-3
+"""By which undoing the distortion misses the tangent of a ray that is in the image, at most: a pixel's part."""
 
 NO_TURN = np.zeros(3)
 
@@ -125,6 +128,21 @@ def project(lens: Lens, points: Float64) -> Projection:
         J = np.asarray(J, dtype=np.float64).reshape(count, 2, -1)
         by_lens, by_point = J[..., 6 : 10 + len(lens.D)], J[..., 3:6]
     return Projection(np.asarray(pixels, np.float64).reshape(-1, 2), by_point, by_lens)
+
+
+def in_view(lens: Lens, points: Float64) -> Bool:
+    """[N] which points [N, 3] m of the optical frame are in a lens's image.
+
+    Far outside its field of view a distortion's polynomial turns back, and what it puts into the image is not there.
+    """
+    pixels = project(lens, points).pixels
+    inside = (
+        (points[:, 2] > BEHIND_M) & (pixels > -0.5).all(1) & (pixels < (lens.width - 0.5, lens.height - 0.5)).all(1)
+    )
+    rays = np.zeros((len(points), 2))
+    rays[inside] = rays_of(lens, pixels[inside])
+    off = np.abs(rays * points[:, 2:] - points[:, :2]).max(axis=1, initial=0)
+    return np.asarray(inside & (off <= SAME_RAY * points[:, 2]))
 
 
 def rays_of(lens: Lens, pixels: Float64) -> Float64:

@@ -11,7 +11,7 @@ from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.lens import pixel_rays
 from twin_node.rig.calibrate.lenses import lens_of, project
 from twin_node.rig.calibrate.matches import Matches
-from twin_node.rig.calibrate.results import LEAST_DEPTH_M, settled, sight_sigmas
+from twin_node.rig.calibrate.results import LEAST_DEPTH_M, metres_per_pixel, settled, sight_sigmas
 from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.scene import Float64, RigCamera
 from twin_node.thinning import thinned
@@ -50,8 +50,7 @@ def doubt_of(cameras: Sequence[RigCamera], covariance: Float64, witnesses: Float
         J[6 * i : 6 * i + 3, own + 3 : own + 6] = J[6 * i + 3 : 6 * i + 6, own : own + 3] = np.eye(3)
         seen = transform(inverse_pose(T), witnesses)
         projection = project(lens, seen)
-        depth = np.where(seen[:, 2] > LEAST_DEPTH_M, seen[:, 2], 0.0)
-        to_metres = (depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
+        to_metres = metres_per_pixel(lens, seen)[:, None, None]
         by_place = projection.by_point * to_metres @ T[:3, :3].T
         moves[i, ..., own : own + 3] = by_place @ cross_matrix(witnesses - T[:3, 3])
         moves[i, ..., own + 3 : own + 6] = -by_place

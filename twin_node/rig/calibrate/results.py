@@ -11,15 +11,16 @@ import numpy as np
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import BundleResult, BundleState
 from twin_node.rig.calibrate.extrinsics import RigSolution
-from twin_node.rig.calibrate.lenses import project
+from twin_node.rig.calibrate.lenses import Lens, in_view, project
 from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.thinning import thinned
 
 WITNESSES = 24
-"""Places of the board, evenly picked of its course, at which the cameras' agreement is judged."""
+"""Places of the board, evenly picked of what each camera saw, at which the cameras' agreement is judged."""
 
 LEAST_DEPTH_M = 0.05
 """Nothing is seen nearer than this."""
@@ -224,9 +225,7 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     for i, (lens, T) in enumerate(zip(bundle.state.lenses, bundle.state.T_cam_rig, strict=True)):
         seen = transform(T, witnesses)
         projection = project(lens, seen)
-        # What a camera has behind itself it cannot see otherwise than the others.
-        depth = np.where(seen[:, 2] > LEAST_DEPTH_M, seen[:, 2], 0.0)
-        to_metres = (depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))[:, None, None]
+        to_metres = metres_per_pixel(lens, seen)[:, None, None]
         by_point = projection.by_point * to_metres
         by_pose = np.concatenate([-by_point @ cross_matrix(seen - T[:3, 3]), by_point], axis=2)
         if i > 0:
@@ -238,20 +237,33 @@ def agreement_sigmas(solution: RigSolution) -> Float64:
     return sight_sigmas(moves, rigid, bundle.covariance)
 
 
+def metres_per_pixel(lens: Lens, points: Float64) -> Float64:
+    """[W] how far a pixel is across the line of sight to points [W, 3] m of the optical frame; 0 for those not in view.
+
+    What a camera does not see it cannot see otherwise than the others, and its lens is not told there.
+    """
+    depth = np.where(in_view(lens, points) & (points[:, 2] > LEAST_DEPTH_M), points[:, 2], 0.0)
+    return np.asarray(depth / np.sqrt(lens.K[0, 0] * lens.K[1, 1]))
+
+
 def sight_sigmas(moves: Float64, shared: Float64, covariance: Float64) -> Float64:
     """[C] root mean variance of what C cameras see of W points, without what they share, in units of `moves`.
 
-    `moves` [C, W, 2, n]: by the unknowns of `covariance` [n, n]; `shared` [C, W, 2, 6]: by a motion of all points.
+    `moves` [C, W, 2, n]: by the unknowns of `covariance` [n, n]; `shared` [C, W, 2, 6]: by a motion of all points. Both
+    are 0 for points that a camera does not see; one that sees none has 0.
     """
     A, G = moves.reshape(-1, moves.shape[-1]), shared.reshape(-1, shared.shape[-1])
     A = A - G @ np.linalg.lstsq(G, A, rcond=None)[0]
     variances = np.einsum("ij,jk,ik->i", A, covariance, A).reshape(len(moves), -1)
-    return np.asarray(np.sqrt(variances.mean(axis=1)))
+    seen = shared.any(axis=3).sum(axis=(1, 2))
+    return np.asarray(np.sqrt(variances.sum(axis=1) / np.maximum(seen, 1)))
 
 
 def _witnesses(bundle: BundleResult) -> Float64:
-    """[W, 3] places of the board in the rig's frame where it was seen, spread over its course."""
-    chosen = [bundle.sightings[i] for i in np.linspace(0, len(bundle.sightings) - 1, WITNESSES).round().astype(int)]
+    """[W, 3] places of the board in the rig's frame where each camera saw it, spread over its course."""
+    count = len(bundle.state.lenses)
+    seen = [[s for s in bundle.sightings if s.camera == i] for i in range(count)]
+    chosen = [sighting for own in seen for sighting in thinned(own, max(WITNESSES // count, 1))]
     state, cameras = bundle.state, np.array([sighting.camera for sighting in chosen])
     times = state.rig_times(cameras, np.array([sighting.time_s for sighting in chosen]))
     placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in chosen]), times))
