@@ -191,12 +191,14 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
         camera_poses,
         camera_residuals,
         clock_sigmas,
+        readout_sigmas,
         residuals_of,
         residuals_of_all,
     )
 
     all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
     poses, sigmas, clocks = camera_poses(state), agreement_sigmas(solution), clock_sigmas(solution)
+    readouts = readout_sigmas(solution)
     cameras = {}
     for i, name in enumerate(solution.names):
         own = residuals_of(camera_residuals(solution, i))
@@ -214,6 +216,8 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
             "time_rate_ppm": 1e6 * float(state.clocks[i, 1]),
             "time_rate_sigma_ppm": 1e6 * float(clocks[i, 1]),
             "time_reference_s": solution.reference_ns / 1e9,
+            "readout_s": float(state.readouts[i]),
+            "readout_sigma_s": float(readouts[i]),
         }
     return {
         "median_reprojection_px": all_cameras.median_px,
@@ -230,15 +234,17 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
 
 def _show_rig(solution: RigSolution, output: Path) -> None:
     from twin_node.rig.calibrate.results import (
+        CERTAIN_SIGMAS,
         agreement_sigmas,
         camera_residuals,
         clock_sigmas,
+        readout_sigmas,
         residuals_of,
         residuals_of_all,
     )
 
     figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
-    clocks = clock_sigmas(solution)
+    clocks, readouts = clock_sigmas(solution), readout_sigmas(solution)
     print(
         f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
         f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
@@ -249,7 +255,11 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
         clock = ""
         if solution.bundle.layout.clocks and i > 0:
             clock = f", clock {1e3 * offset:+.2f} +- {1e3 * clocks[i, 0]:.2f} ms {1e6 * rate:+.0f} ppm"
-        print(f"  {name}: median {own.median_px:.3f} px, rms {own.rms_px:.3f} px, sigma {1e3 * sigma:.2f} mm{clock}")
+        shutter = ""
+        if abs(state.readouts[i]) > CERTAIN_SIGMAS * readouts[i]:
+            shutter = f", shutter rolls {1e3 * state.readouts[i]:.1f} +- {1e3 * readouts[i]:.1f} ms"
+        figures_px = f"median {own.median_px:.3f} px, rms {own.rms_px:.3f} px"
+        print(f"  {name}: {figures_px}, sigma {1e3 * sigma:.2f} mm{clock}{shutter}")
     _show_dropped(solution.dropped)
 
 

@@ -156,6 +156,22 @@ class Spoiled:
     """What the camera's stamps lack."""
     rate_ppm: float = 0.0
     """By how much its clock runs slow."""
+    readout_s: float = 0.0
+    """From its first row to its last."""
+
+
+def _row_by_row(
+    board: Board, lens: Lens, T_cam_base: Float64, corners: Corners, seconds: float, readout_s: float
+) -> Corners:
+    """The corners where the waved board has taken them when their rows are exposed, the middle one at a time."""
+    if not readout_s:
+        return corners
+    pixels = corners.pixels.copy()
+    for number, corner in enumerate(corners.ids):
+        lag = ((pixels[number, 1] + 0.5) / lens.height - 0.5) * readout_s
+        place = transform(T_cam_base @ waved(seconds + lag), board.points[corner : corner + 1])
+        pixels[number] = project(lens, place).pixels[0]
+    return Corners(corners.ids, pixels)
 
 
 def record(
@@ -168,14 +184,20 @@ def record(
     seconds: float = 12.0,
     rate_hz: float = 10.0,
     rests_at_s: float = np.inf,
+    pace: float = 1.0,
 ) -> CameraRecording:
-    """A video of the waved board, which is held still from a time on, with the stamps of the camera's own clock."""
+    """A video of the waved board, which is held still from a time on, with the stamps of the camera's own clock.
+
+    `pace`: how much faster than usual it is waved.
+    """
     spoiled = spoiled or Spoiled()
     times = np.arange(0, seconds, 1 / rate_hz) + rng.uniform(0, 1 / rate_hz)
     found: list[Corners | None] = []
     for time in times.tolist():
-        corners = seen_corners(board, lens, inverse_pose(T_base_cam) @ waved(min(time, rests_at_s)))
+        T, at = inverse_pose(T_base_cam), pace * min(time, rests_at_s)
+        corners = seen_corners(board, lens, T @ waved(at))
         if corners is not None:
+            corners = _row_by_row(board, lens, T, corners, at, pace * spoiled.readout_s)
             noise = rng.normal(0, spoiled.noise_px, corners.pixels.shape)
             if rng.uniform() < spoiled.outliers:
                 noise += rng.normal(0, 15, 2) + rng.normal(0, 3, corners.pixels.shape)

@@ -38,14 +38,16 @@ def in_rig(poses: Float64) -> Float64:
 
 def a_still_state(model: str, sets: int = 3) -> BundleState:
     boards = in_rig(np.stack([waved(1.3 * n) for n in range(sets)]))
-    return BundleState(cameras(), still_course(boards), (a_lens(model), a_lens(model)), BOARD.points, np.zeros((2, 2)))
+    lenses = (a_lens(model), a_lens(model))
+    return BundleState(cameras(), still_course(boards), lenses, BOARD.points, np.zeros((2, 2)), np.zeros(2))
 
 
-def a_moving_state(model: str) -> BundleState:
+def a_moving_state(model: str, readouts: tuple[float, float] = (0.0, 0.0)) -> BundleState:
     times = np.arange(0, 1.5, 0.05)
     course = smooth_course([times], [in_rig(np.stack([waved(t) for t in times]))], 0.1)
     clocks = np.array([[0.0, 0.0], [0.02, 1e-4]])
-    return BundleState(cameras(), course, (a_lens(model), a_lens(model)), BOARD.points, clocks, 0.7)
+    lenses = (a_lens(model), a_lens(model))
+    return BundleState(cameras(), course, lenses, BOARD.points, clocks, np.array(readouts), 0.7)
 
 
 def pose_at(course: Course, board: int, time: float) -> Float64:
@@ -86,7 +88,7 @@ class _Bent:
 @pytest.mark.parametrize("model", MODELS)
 def test_the_normal_equations_are_the_cost_s_derivative(model: str, moving: bool) -> None:
     rng = np.random.default_rng(3)
-    state = a_moving_state(model) if moving else a_still_state(model)
+    state = a_moving_state(model, (0.01, -0.02)) if moving else a_still_state(model)
     problem = BundleProblem(state, sightings_of(state, rng, noise=1.0), BundleOptions(lenses=True, board=True))
     noise, kept = np.array([0.7, 1.3]), problem.seen & (rng.uniform(size=problem.seen.shape) < 0.9)
     course = state.course.changed(rng.normal(0, 1e-3, (len(state.course.quats), 6)))

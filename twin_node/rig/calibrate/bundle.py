@@ -1,8 +1,8 @@
 """What bundle adjustment of a rig over a board takes and gives (Triggs et al., A Modern Synthesis, 1999).
 
-Unknowns are the cameras' poses, clocks and lenses, the board's course and, as an option, the places of its corners.
-Every image is held against the board at that image's own time, so that clocks are told by all that moves, and nothing
-is interpolated that was measured. The first camera is the origin and its clock the rig's.
+Unknowns are the cameras' poses, clocks, shutters and lenses, the board's course and, as an option, the places of its
+corners. Every corner is held against the board at the time of its own row of its own image, so that clocks are told by
+all that moves, and nothing is interpolated that was measured. The first camera is the origin and its clock the rig's.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ class BundleState:
     """[P, 3] the board's corners, m."""
     clocks: Float64
     """[C, 2] seconds to add to each camera's time at `reference_s`, and how fast that grows; the first are fixed."""
+    readouts: Float64
+    """[C] s from a camera's first row to its last, as a rolling shutter exposes them; stamps are the middle row's."""
     reference_s: float = 0.0
     """Time at which the clocks' offsets hold."""
 
@@ -64,6 +66,8 @@ class BundleOptions:
     """The places of the board's corners, held by how far off boards are."""
     clocks: bool = True
     """Clock offsets and rates, where the board moves."""
+    readouts: bool = True
+    """How long rolling shutters take, where the board moves."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ class Layout:
     lens_sizes: tuple[int, ...]
     """Parameters of each lens; empty where lenses are fixed."""
     clocks: bool
+    readouts: bool
     points: int
     """Corners of the board that are free, 0 where it is fixed."""
 
@@ -91,10 +96,15 @@ class Layout:
         start = 6 * (self.cameras - 1) + sum(self.lens_sizes)
         return slice(start + 2 * max(i - 1, 0), start + 2 * i) if self.clocks else slice(start, start)
 
+    def readout(self, i: int) -> slice:
+        """Readout (s) of camera i; empty where they are fixed."""
+        start = self.clock(self.cameras - 1).stop + (i if self.readouts else 0)
+        return slice(start, start + self.readouts)
+
     @property
     def corners(self) -> slice:
         """All of the board's corners."""
-        start = self.clock(self.cameras - 1).stop
+        start = self.readout(self.cameras - 1).stop
         return slice(start, start + 3 * self.points)
 
     @property

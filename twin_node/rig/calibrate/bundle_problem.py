@@ -30,6 +30,9 @@ CLOCK_SIGMA_S = 0.1
 RATE_SIGMA = 100e-6
 """1 sigma of a clock's rate: crystals are sold as good to 20 to 100 ppm."""
 
+READOUT_SIGMA_S = 0.02
+"""1 sigma of a readout: none where all rows are exposed at once, up to a frame's period of 33 ms in webcams."""
+
 ROBUST_SIGMAS = 2.0
 """Corners further off than so many sigma count linearly (soft L1): motion blur loses its pull."""
 
@@ -40,6 +43,10 @@ class Look:
 
     placed: Placed
     """The board at every image's time."""
+    lags: Float64
+    """[V, P] s from there to the time of the corner's row."""
+    points: Float64
+    """[V, P, 3] m of the board's axes at the image's time: the corners where they have turned to by their own times."""
     residuals: Float64
     """[V, P, 2] found minus projected, pixels."""
     by_point: Float64
@@ -47,6 +54,18 @@ class Look:
     by_lens: Float64
     """[V, P, 2, L] of the projection by the longest lens's parameters; shorter ones leave zeros. L is 0 where they are
     fixed."""
+
+
+@dataclass(frozen=True)
+class _Slopes:
+    """How what V images of one camera show changes, in sigmas."""
+
+    J: Float64
+    """[V, P, 2, m + L + 2] by the board's motions, the lens and the readout (left out where fixed); the residuals."""
+    steering: Float64
+    """[V, m, 24] of these motions by the four control poses' changes."""
+    by_corner: Float64
+    """[V, P, 2, 3] by the corners' places on the board."""
 
 
 class BundleProblem:
@@ -62,6 +81,9 @@ class BundleProblem:
         for view, sighting in enumerate(sightings):
             self.seen[view, sighting.corners.ids] = True
             self._pixels[view, sighting.corners.ids] = sighting.corners.pixels
+        heights = np.array([lens.height for lens in start.lenses])[self.camera, None]
+        self._rows = np.where(self.seen, (self._pixels[..., 1] + 0.5) / heights - 0.5, 0.0)
+        """[V, P] shares of the image's height below its middle."""
         self._times = np.array([sighting.time_s for sighting in sightings])
         self._boards = np.array([sighting.board for sighting in sightings])
         cameras, moves = len(start.lenses), any(stretch.count > 1 for stretch in start.course.stretches)
@@ -69,6 +91,7 @@ class BundleProblem:
             cameras,
             tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
             options.clocks and moves and cameras > 1,
+            options.readouts and moves,
             len(start.points) if options.board else 0,
         )
         self._columns = self._outer_columns(max(self.layout.lens_sizes, default=0))
@@ -87,11 +110,14 @@ class BundleProblem:
         """Where a state would have everything be seen."""
         blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
         placed = state.course.at(blend)
-        in_rig = state.points @ placed.rotations.swapaxes(1, 2) + placed.positions[:, None]
-        in_rig, pixels = in_rig.reshape(-1, 3), self._pixels.reshape(-1, 2)
+        lags = state.readouts[self.camera, None] * self._rows
+        points = state.points + lags[..., None] * np.cross(placed.speeds[:, None, :3], state.points)
+        shifted = placed.positions[:, None] + lags[..., None] * placed.speeds[:, None, 3:]
+        in_rig = (points @ placed.rotations.swapaxes(1, 2) + shifted).reshape(-1, 3)
+        pixels = self._pixels.reshape(-1, 2)
         residuals = np.zeros_like(pixels)
         by_point = np.zeros((*residuals.shape, 3))
-        by_lens = np.zeros((*residuals.shape, self._columns.shape[1] - 8))
+        by_lens = np.zeros((*residuals.shape, max(self.layout.lens_sizes, default=0)))
         for lens, T, own in zip(state.lenses, state.T_cam_rig, self._places, strict=True):
             projection = project(lens, in_rig[own] @ T[:3, :3].T + T[:3, 3])
             residuals[own] = pixels[own] - projection.pixels
@@ -99,9 +125,8 @@ class BundleProblem:
             if self.layout.lens_sizes:
                 by_lens[own, :, : projection.by_lens.shape[-1]] = projection.by_lens
         shape = self._pixels.shape
-        return Look(
-            placed, residuals.reshape(shape), by_point.reshape(*shape, 3), by_lens.reshape(*shape, by_lens.shape[-1])
-        )
+        by_point, by_lens = by_point.reshape(*shape, 3), by_lens.reshape(*shape, by_lens.shape[-1])
+        return Look(placed, lags, points, residuals.reshape(shape), by_point, by_lens)
 
     def cost(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> float:
         """Half the robust sum of squares, in sigmas, of the corners that are kept and of all priors."""
@@ -110,6 +135,7 @@ class BundleProblem:
         lenses = sum(float((lens.priors() ** 2).sum()) for lens in state.lenses) if self.layout.lens_sizes else 0.0
         board = float((((state.points - self._start.points) / self._tolerance) ** 2).sum())
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
+        clocks += float(((state.readouts / READOUT_SIGMA_S) ** 2).sum())
         return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((self._roughness(state) ** 2).sum()))
 
     def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> NormalEquations:
@@ -139,6 +165,9 @@ class BundleProblem:
         if layout.clocks:
             own = outer[layout.clock(1).start : layout.clock(layout.cameras - 1).stop]
             clocks = clocks + np.concatenate([np.zeros((1, 2)), own.reshape(-1, 2)])
+        readouts = state.readouts
+        if layout.readouts:
+            readouts = readouts + outer[layout.readout(0).start : layout.readout(layout.cameras - 1).stop]
         points = state.points + outer[layout.corners].reshape(-1, 3) if layout.points else state.points
         return replace(
             state,
@@ -147,6 +176,7 @@ class BundleProblem:
             lenses=lenses,
             points=points,
             clocks=clocks,
+            readouts=readouts,
         )
 
     def covariance(self, state: BundleState, kept: Bool, noise_px: Float64) -> Float64:
@@ -161,10 +191,15 @@ class BundleProblem:
         return equations.outer_covariance() * float(pull.mean()) / spare / float(bend.mean()) ** 2
 
     def _outer_columns(self, lens_parameters: int) -> NDArray[np.int64]:
-        """[C, 6 + 2 + L] outer columns of each camera's pose, clock and lens; `NOWHERE` for what is fixed."""
-        columns = np.full((self.layout.cameras, 8 + lens_parameters), NOWHERE)
-        for i in range(self.layout.cameras):
-            for place, own in ((0, self.layout.camera(i)), (6, self.layout.clock(i)), (8, self.layout.lens(i))):
+        """[C, 6 + 2 + L + 1] outer columns of each camera's pose, clock, lens and readout; `NOWHERE` for what is fixed.
+
+        The last is left out where readouts are fixed.
+        """
+        layout = self.layout
+        columns = np.full((layout.cameras, 8 + lens_parameters + layout.readouts), NOWHERE)
+        for i in range(layout.cameras):
+            last = (8 + lens_parameters, layout.readout(i))
+            for place, own in ((0, layout.camera(i)), (6, layout.clock(i)), (8, layout.lens(i)), last):
                 columns[i, place : place + own.stop - own.start] = np.arange(own.start, own.stop)
         return columns
 
@@ -180,21 +215,15 @@ class BundleProblem:
         """The images `views` of one camera, in the order of the `controls` that their boards' poses are made of."""
         if not len(views):
             return
-        camera, placed = self.camera[views[0]], look.placed
-        by_point = look.by_point[views] * weights[views, :, None, None]
-        by_rig = by_point @ state.T_cam_rig[camera, :3, :3]
-        by_board = (by_rig.reshape(len(views), -1, 3) @ placed.rotations[views]).reshape(by_point.shape)
-        # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
-        parts = [np.cross(state.points[:, None], by_board), by_rig]
-        parts += [part[views] * weights[views, :, None, None] for part in (look.by_lens, look.residuals[..., None])]
-        J = np.concatenate(parts, axis=-1)
+        camera, slopes = self.camera[views[0]], self._slopes(state, look, weights, views)
+        J, steering, motions = slopes.J, slopes.steering, slopes.steering.shape[1]
         rows = J.reshape(len(views), -1, J.shape[-1])
         squares = rows.swapaxes(1, 2) @ rows
-        # An image's whole board moves alike, whatever moves it: the first six columns hold all that there is to know.
-        steered, own = placed.by_control[views].swapaxes(1, 2), self._own_motions(state, placed, views, J.shape[-1])
+        # An image's whole board moves alike, whatever moves it: the first columns hold all that there is to know.
+        steered, own = steering.swapaxes(1, 2), self._own_motions(state, look.placed, views, motions, J.shape[-1])
         by_own = squares @ own
         outer_squares = (own.swapaxes(1, 2) @ by_own).sum(0)
-        by_inner = [squares[:, :6, :6] @ placed.by_control[views], by_own[:, :6]]
+        by_inner = [squares[:, :motions, :motions] @ steering, by_own[:, :motions]]
         groups = np.flatnonzero(np.diff(controls[:, 0], prepend=-1))
         inner_squares = _summed(steered @ np.concatenate(by_inner, axis=2), groups)
         inner = (6 * controls[groups, :, None] + np.arange(6)).reshape(len(groups), 24)
@@ -203,27 +232,52 @@ class BundleProblem:
         equations.add_outer(outer, outer_squares[:-1, :-1], outer_squares[:-1, -1])
         equations.add_mixed(inner, outer, inner_squares[:, :, 24:-1])
         if self.layout.points:
-            products = np.einsum("vpai,vpaj->vipj", J, by_board).reshape(len(views), J.shape[-1], -1)
+            by_corner = slopes.by_corner
+            products = np.einsum("vpai,vpaj->vipj", J, by_corner).reshape(len(views), J.shape[-1], -1)
             by_corners = (own.swapaxes(1, 2) @ products).sum(0)
             corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
-            equations.add_mixed(inner, corners, _summed(steered @ products[:, :6], groups))
+            equations.add_mixed(inner, corners, _summed(steered @ products[:, :motions], groups))
             equations.add_between(outer, corners, by_corners[:-1])
-            alone = np.einsum("vpai,vpaj->pij", by_board, by_board)
+            alone = np.einsum("vpai,vpaj->pij", by_corner, by_corner)
             equations.add_outer(corners, block_diag(*alone), by_corners[-1])
 
-    def _own_motions(self, state: BundleState, placed: Placed, views: NDArray[np.int64], columns: int) -> Float64:
-        """[V, columns, columns + 2] from the board's turn and position to what moves it before one camera.
+    def _slopes(self, state: BundleState, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
+        """How what the images `views` of one camera show changes."""
+        placed, weight = look.placed, weights[views, :, None, None]
+        by_rig = look.by_point[views] * weight @ state.T_cam_rig[self.camera[views[0]], :3, :3]
+        by_board = (by_rig.reshape(len(views), -1, 3) @ placed.rotations[views]).reshape(by_rig.shape)
+        # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
+        motions, steering = [np.cross(look.points[views, :, None], by_board), by_rig], placed.by_control[views]
+        others, by_corner = [look.by_lens[views] * weight], by_board
+        if self.layout.readouts:
+            lags, speeds = look.lags[views, :, None, None], placed.speeds[views, None, None]
+            by_turning = np.cross(state.points[:, None], by_board)
+            motions += [lags * by_turning, lags * by_rig]
+            steering = np.concatenate([steering, placed.speeds_by_control[views]], axis=1)
+            by_time = (by_turning * speeds[..., :3] + by_rig * speeds[..., 3:]).sum(-1, keepdims=True)
+            others.append(by_time * self._rows[views, :, None, None])
+            by_corner = by_board + lags * np.cross(by_board, speeds[..., :3])
+        residuals = look.residuals[views, ..., None] * weight
+        return _Slopes(np.concatenate([*motions, *others, residuals], axis=-1), steering, by_corner)
 
-        That is the camera's pose and clock; what follows, its lens and the residuals, is left as it is.
+    def _own_motions(
+        self, state: BundleState, placed: Placed, views: NDArray[np.int64], motions: int, columns: int
+    ) -> Float64:
+        """[V, columns, columns - motions + 8] from the board's motions to what moves it before one camera.
+
+        Motions are its turn and position and, where rows have times of their own, the speeds of these. What moves it is
+        the camera's pose and clock; what follows, its lens, its readout and the residuals, is left as it is.
         """
         T = state.T_cam_rig[self.camera[views[0]]]
-        out = np.zeros((len(views), columns, columns + 2))
+        out = np.zeros((len(views), columns, columns - motions + 8))
         out[:, :3, :3] = (T[:3, :3] @ placed.rotations[views]).swapaxes(1, 2)
         out[:, 3:6, :3] = (T[:3, :3] @ cross_matrix(placed.positions[views])).swapaxes(1, 2)
         out[:, 3:6, 3:6] = T[:3, :3].T
+        if motions > 6:
+            out[:, 9:12, :3] = (T[:3, :3] @ cross_matrix(placed.speeds[views, 3:])).swapaxes(1, 2)
         out[:, :6, 6] = placed.speeds[views]
         out[:, :6, 7] = placed.speeds[views] * (self._times[views] - state.reference_s)[:, None]
-        out[:, 6:, 8:] = np.eye(columns - 6)
+        out[:, motions:, 8:] = np.eye(columns - motions)
         return out
 
     def _roughness(self, state: BundleState) -> Float64:
@@ -265,6 +319,11 @@ class BundleProblem:
             columns = np.arange(layout.clock(1).start, layout.clock(layout.cameras - 1).stop)
             weights = np.tile([CLOCK_SIGMA_S**-2, RATE_SIGMA**-2], layout.cameras - 1)
             equations.add_outer(columns, np.diag(weights), -weights * state.clocks[1:].ravel())
+        if layout.readouts:
+            columns = np.arange(layout.readout(0).start, layout.readout(layout.cameras - 1).stop)
+            equations.add_outer(
+                columns, np.eye(len(columns)) / READOUT_SIGMA_S**2, -state.readouts / READOUT_SIGMA_S**2
+            )
         if layout.points:
             columns = np.arange(layout.corners.start, layout.corners.stop)
             off = (state.points - self._start.points).ravel() / self._tolerance**2

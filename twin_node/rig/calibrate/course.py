@@ -70,6 +70,8 @@ class Placed:
     """[V, 3] m."""
     by_control: Float64
     """[V, 6, 24] of (turn about the board's axes, position) by the four control poses' changes."""
+    speeds_by_control: Float64
+    """[V, 6, 24] the same of `speeds`, turns to first order."""
     speeds: Float64
     """[V, 6] rad/s about the board's axes, m/s."""
 
@@ -105,15 +107,12 @@ class Course:
         p = np.einsum("vk,vki->vi", blend.weights, self.positions[blend.controls])
         square = (q**2).sum(-1)
         back = q * [1.0, -1.0, -1.0, -1.0] / square[:, None]
-        shares = quat_product(back[:, None], quats) * blend.weights[..., None]
-        by_control = np.zeros((len(q), 6, 4, 6))
-        turns = shares[..., :1, None] * np.eye(3) + cross_matrix(shares[..., 1:])
-        by_control[:, :3, :, :3] = turns.swapaxes(1, 2)
-        by_control[:, 3:, :, 3:] = np.einsum("vk,ij->vikj", blend.weights, np.eye(3))
+        from_here = quat_product(back[:, None], quats)
         turning = 2 * quat_product(back, np.einsum("vk,vki->vi", blend.rates, quats))[:, 1:]
         moving = np.einsum("vk,vki->vi", blend.rates, self.positions[blend.controls])
         speeds = np.concatenate([turning, moving], axis=1)
-        return Placed(rotation_from_quat(q), p, by_control.reshape(len(q), 6, 24), speeds)
+        by_control, speeds_by_control = _by_control(from_here, blend.weights), _by_control(from_here, blend.rates)
+        return Placed(rotation_from_quat(q), p, by_control, speeds_by_control, speeds)
 
     def changed(self, change: Float64) -> Course:
         """The course with control poses turned about their own axes (rad) and shifted (m), `change` [K, 6]."""
@@ -132,6 +131,16 @@ class Course:
         """[B] time between the control poses about each of `bends`, s."""
         inner = [np.full(s.count - 2, s.step_s) for s in self.stretches if s.count > 2]
         return np.concatenate(inner) if inner else np.zeros(0)
+
+
+def _by_control(from_here: Float64, weights: Float64) -> Float64:
+    """[V, 6, 24] of turn and position by four control poses, whose turns [V, 4, 4] are from the pose that they make."""
+    shares = from_here * weights[..., None]
+    out = np.zeros((len(weights), 6, 4, 6))
+    turns = shares[..., :1, None] * np.eye(3) + cross_matrix(shares[..., 1:])
+    out[:, :3, :, :3] = turns.swapaxes(1, 2)
+    out[:, 3:, :, 3:] = np.einsum("vk,ij->vikj", weights, np.eye(3))
+    return out.reshape(len(weights), 6, 24)
 
 
 def still_course(poses: Float64) -> Course:

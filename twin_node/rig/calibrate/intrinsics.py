@@ -235,7 +235,8 @@ def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], mode
 
 def _bundle(board: Board, views: Sequence[BoardView], start: LensStart) -> BundleResult:
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
-    state = BundleState(np.eye(4)[None], still_course(start.poses), (start.lens,), board.points, np.zeros((1, 2)))
+    course = still_course(start.poses)
+    state = BundleState(np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)), np.zeros(1))
     return solve_bundle(state, sightings, BundleOptions())
 
 

@@ -195,6 +195,15 @@ def clock_sigmas(solution: RigSolution) -> Float64:
     return out
 
 
+def readout_sigmas(solution: RigSolution) -> Float64:
+    """[C] 1 sigma (s) of how long each camera's shutter rolls; 0 where no board moved that would tell."""
+    bundle, cameras = solution.bundle, range(len(solution.names) if solution.bundle.layout.readouts else 0)
+    out = np.zeros(len(solution.names))
+    for i in cameras:
+        out[i] = np.sqrt(np.diag(bundle.covariance)[bundle.layout.readout(i)].item())
+    return out
+
+
 def settled(poses: Float64, changes: Float64) -> Float64:
     """Changes [6 C, n] of poses [C, 4, 4] (positions, m; turns about the base's axes, rad) without what they share.
 
