@@ -107,6 +107,21 @@ def test_bayer_patterns_put_red_into_the_first_channel(pattern: str, red_at: tup
     assert decoded[..., 1:].max() == 0
 
 
+@pytest.mark.parametrize("depth", [8, 16])
+@pytest.mark.parametrize(("pattern", "red_at"), [("rggb", (0, 0)), ("gbrg", (1, 0))])
+def test_a_bayer_mosaic_that_was_compressed_has_its_colours(pattern: str, red_at: tuple[int, int], depth: int) -> None:
+    """As compressed_image_transport sends it: a grey image, which was taken for one."""
+    mosaic = np.zeros((32, 32), np.uint8 if depth == 8 else np.uint16)
+    mosaic[red_at[0] :: 2, red_at[1] :: 2] = 200 if depth == 8 else 200 * 257
+    png = cv2.imencode(".png", mosaic)[1].reshape(-1)
+    base = compressed_image("cam", STAMP, gradient())
+    message = replace(base, format=f"bayer_{pattern}{depth}; png compressed ", data=png)
+    decoded = rgb_from_message(message)[4:-4, 4:-4]
+    np.testing.assert_array_equal(decoded.reshape(-1, 3).mean(axis=0), [200, 0, 0])
+    colour = replace(base, format=f"bayer_{pattern}{depth}; jpeg compressed bgr8")
+    np.testing.assert_array_equal(rgb_from_message(colour), rgb_from_message(base))
+
+
 def test_yuv422_in_both_orders() -> None:
     uyvy = np.tile(np.array([90, 81, 240, 81], dtype=np.uint8), (4, 2)).reshape(4, 4, 2)  # BT.601 red
     yuyv = uyvy[..., ::-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import Any, Literal
 
@@ -43,6 +44,9 @@ PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 
 CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, **dict.fromkeys(PAIRED, 2)}
 """Bytes per pixel where there is more than one."""
+
+MOSAIC = re.compile(r"(bayer_(?:rggb|bggr|gbrg|grbg))(?:8|16)\b")
+"""What a `format` begins with that says of which image the compressed one was made."""
 
 MM_PER_M = 1000.0
 PNG_SIGNATURE = b"\x89PNG"
@@ -113,8 +117,7 @@ def rgb_from_message(message: Message) -> UInt8:
     Raises `MessageError` for an encoding that is not an 8-bit colour or grey one, and for data that cannot be decoded.
     """
     if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
-        bgr = _decode(message, message.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return _decode_compressed_rgb(message)
     encoding = message.encoding
     if encoding != "rgb8" and encoding not in TO_RGB:
         raise MessageError(
@@ -149,6 +152,17 @@ def depth_from_message(message: Message) -> Float32:
     raise MessageError(
         f"{_name(message)}: depth encoding {message.encoding!r}; expected 16UC1 (mm) or 32FC1 (m); convert the topic"
     )
+
+
+def _decode_compressed_rgb(message: Message) -> UInt8:
+    """compressed_image_transport sends the mosaic of a Bayer sensor as a grey image and names its pattern."""
+    pattern = MOSAIC.match(message.format)
+    if pattern is not None:
+        mosaic = _decode(message, message.data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if mosaic.ndim == 2:
+            return np.asarray(cv2.cvtColor(mosaic, TO_RGB[f"{pattern[1]}8"]), dtype=np.uint8)
+    bgr = _decode(message, message.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def _decode_compressed_depth(message: Message) -> Float32:
