@@ -30,6 +30,9 @@ MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
 SHAPES = {"auto": None, "flat": False, "refined": True}
 """What `--board-shape` says of refining the places of the board's corners."""
 
+TELLING_JITTER_S = 1e-3
+"""What single stamps are off by is told from here on, s."""
+
 BOARD_HELP = (
     "file, or chessboard:9x6:0.025, charuco:5x7:0.04:0.03:DICT_4X4_50, aprilgrid:6x6:0.088:0.3, circles:10x10:0.02"
 )
@@ -218,6 +221,7 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
             "time_reference_s": solution.reference_ns / 1e9,
             "readout_s": float(state.readouts[i]),
             "readout_sigma_s": float(readouts[i]),
+            "stamp_jitter_s": float(solution.bundle.jitter_s[i]),
         }
     return {
         "median_reprojection_px": all_cameras.median_px,
@@ -258,6 +262,8 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
         shutter = ""
         if abs(state.readouts[i]) > CERTAIN_SIGMAS * readouts[i]:
             shutter = f", shutter rolls {1e3 * state.readouts[i]:.1f} +- {1e3 * readouts[i]:.1f} ms"
+        if (jitter := solution.bundle.jitter_s[i]) > TELLING_JITTER_S:
+            shutter += f", stamps off by {1e3 * jitter:.1f} ms one by one"
         figures_px = f"median {own.median_px:.3f} px, rms {own.rms_px:.3f} px"
         print(f"  {name}: {figures_px}, sigma {1e3 * sigma:.2f} mm{clock}{shutter}")
     _show_dropped(solution.dropped)

@@ -14,14 +14,17 @@ from simulated_boards import a_lens, around, seen_corners, waved
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Sighting
+from twin_node.rig.calibrate.bundle_equations import Change
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
-from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
+from twin_node.rig.calibrate.bundle_solver import board_pays, minimise, solve_bundle
 from twin_node.rig.calibrate.course import Course, smooth_course, still_course
 from twin_node.rig.calibrate.normal_equations import NormalEquations
 from twin_node.rig.calibrate.rotations import moved
 from twin_node.scene import Float64
 
 BOARD = Chessboard(5, 4, 0.06)
+IMAGES = 24
+"""Of each camera before a moving board."""
 MODELS = ["plumb_bob", "rational_polynomial", "equidistant"]
 
 
@@ -39,7 +42,9 @@ def in_rig(poses: Float64) -> Float64:
 def a_still_state(model: str, sets: int = 3) -> BundleState:
     boards = in_rig(np.stack([waved(1.3 * n) for n in range(sets)]))
     lenses = (a_lens(model), a_lens(model))
-    return BundleState(cameras(), still_course(boards), lenses, BOARD.points, np.zeros((2, 2)), np.zeros(2))
+    return BundleState(
+        cameras(), still_course(boards), lenses, BOARD.points, np.zeros((2, 2)), np.zeros(2), np.zeros(2 * sets)
+    )
 
 
 def a_moving_state(model: str, readouts: tuple[float, float] = (0.0, 0.0)) -> BundleState:
@@ -47,7 +52,7 @@ def a_moving_state(model: str, readouts: tuple[float, float] = (0.0, 0.0)) -> Bu
     course = smooth_course([times], [in_rig(np.stack([waved(t) for t in times]))], 0.1)
     clocks = np.array([[0.0, 0.0], [0.02, 1e-4]])
     lenses = (a_lens(model), a_lens(model))
-    return BundleState(cameras(), course, lenses, BOARD.points, clocks, np.array(readouts), 0.7)
+    return BundleState(cameras(), course, lenses, BOARD.points, clocks, np.array(readouts), np.zeros(2 * IMAGES), 0.7)
 
 
 def pose_at(course: Course, board: int, time: float) -> Float64:
@@ -63,7 +68,9 @@ def sightings_of(
     """What a state's cameras see of the board (bent: its points moved)."""
     moving = state.course.stretches[0].count > 1
     places = (
-        [(0, t) for t in np.arange(0.1, 1.3, 0.05)] if moving else [(n, 0.0) for n in range(len(state.course.quats))]
+        [(0, t) for t in 0.1 + 0.05 * np.arange(IMAGES)]
+        if moving
+        else [(n, 0.0) for n in range(len(state.course.quats))]
     )
     bent = _Bent(BOARD.points if bend is None else BOARD.points + bend)
     out = []
@@ -89,14 +96,17 @@ class _Bent:
 def test_the_normal_equations_are_the_cost_s_derivative(model: str, moving: bool) -> None:
     rng = np.random.default_rng(3)
     state = a_moving_state(model, (0.01, -0.02)) if moving else a_still_state(model)
-    problem = BundleProblem(state, sightings_of(state, rng, noise=1.0), BundleOptions(lenses=True, board=True))
+    problem = BundleProblem(
+        state, sightings_of(state, rng, noise=1.0), BundleOptions(lenses=True, board=True, delays=False)
+    )
     noise, kept = np.array([0.7, 1.3]), problem.seen & (rng.uniform(size=problem.seen.shape) < 0.9)
     course = state.course.changed(rng.normal(0, 1e-3, (len(state.course.quats), 6)))
     state = replace(state, course=course, points=state.points + rng.normal(0, 1e-4, state.points.shape))
-    inner, outer = problem.equations(state, problem.look(state), kept, noise).slopes
+    inner, outer = problem.equations(state, problem.look(state), kept, noise).normal.slopes
 
     def cost(change: Float64) -> float:
-        tried = problem.changed(state, change[: len(inner)], change[len(inner) :])
+        still = np.zeros(len(state.delays))
+        tried = problem.changed(state, Change(change[: len(inner)], change[len(inner) :], still))
         return problem.cost(tried, problem.look(tried), kept, noise)
 
     expected = -np.concatenate([inner, outer])
@@ -105,6 +115,25 @@ def test_the_normal_equations_are_the_cost_s_derivative(model: str, moving: bool
         step[n] = 1e-6 if n < len(inner) + 6 or n >= len(inner) + 6 + problem.layout.lens_sizes[0] * 2 else 1e-4
         numeric = (cost(step) - cost(-step)) / (2 * step[n])
         assert numeric == pytest.approx(expected[n], rel=2e-3, abs=2e-3 * (1 + np.abs(expected).max() * 1e-3))
+
+
+def test_with_delays_of_single_stamps_a_solution_is_one_in_all_unknowns() -> None:
+    rng, state = np.random.default_rng(4), a_moving_state("plumb_bob", (0.01, -0.02))
+    problem = BundleProblem(state, sightings_of(state, rng, noise=1.0), BundleOptions(lenses=True, board=True))
+    found, noise = minimise(problem, state, problem.seen, np.ones(2), 1e-14), np.ones(2)
+    sizes = (6 * len(state.course.quats), problem.layout.size, len(state.delays))
+    assert np.abs(found.delays).max() > 1e-4
+
+    def cost(change: Float64) -> float:
+        tried = problem.changed(found, Change(*np.split(change, np.cumsum(sizes)[:-1])))
+        return problem.cost(tried, problem.look(tried), problem.seen, noise)
+
+    for n in rng.permutation(sum(sizes))[:40]:
+        step = np.zeros(sum(sizes))
+        step[n] = 1e-5
+        rise = cost(step) + cost(-step) - 2 * cost(0 * step)  # h^2 times the curvature
+        slope = (cost(step) - cost(-step)) / 2
+        assert abs(slope) < 0.02 * np.sqrt(max(rise, 0)) + 1e-7  # within a fiftieth of a sigma of the lowest
 
 
 def test_eliminating_the_inner_unknowns_changes_no_solution() -> None:
@@ -122,7 +151,13 @@ def test_eliminating_the_inner_unknowns_changes_no_solution() -> None:
         equations.add_mixed(inner[None], outer, (A.T @ B)[None])
     found = np.concatenate(equations.solution(0.0))
     np.testing.assert_allclose(found, np.linalg.lstsq(J, residuals, rcond=None)[0], atol=1e-5)
-    np.testing.assert_allclose(equations.outer_covariance(), np.linalg.inv(J.T @ J)[9:, 9:], atol=1e-5)
+    covariance = np.linalg.inv(J.T @ J)
+    np.testing.assert_allclose(equations.outer_covariance(), covariance[9:, 9:], atol=1e-5)
+    columns, by_inner, by_outer = np.array([[0, 3], [4, 8]]), rng.normal(size=(2, 2)), rng.normal(size=(2, 4))
+    sums = np.zeros((2, 13))
+    sums[[0, 0, 1, 1], columns.ravel()], sums[:, 9:] = by_inner.ravel(), by_outer
+    expected = np.diag(sums @ covariance @ sums.T)
+    np.testing.assert_allclose(equations.variances(columns, by_inner, by_outer), expected, rtol=1e-4)
 
 
 @settings(max_examples=10)

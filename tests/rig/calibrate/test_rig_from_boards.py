@@ -77,7 +77,7 @@ def test_poses_and_clocks_are_found_among_outliers(solution: RigSolution) -> Non
 
 
 def test_rolling_shutters_bend_no_poses() -> None:
-    """Taken for images of one time, such a rig came out 14 mm and 1.4 degrees off, and stated 0.2 mm."""
+    """Taken for images of one time, the second camera was 4.3 mm and 0.15 degrees off, and 0.06 mm stated."""
     rng, lenses, readouts = np.random.default_rng(0), [a_lens(focal=520.0), a_lens(focal=600.0)], [0.03, 0.015]
     cameras = [
         replace(record(BOARD, lens, T, f"cam{i}", rng, Spoiled(readout_s=readouts[i]), SECONDS, pace=3), lens=lens)
@@ -85,17 +85,22 @@ def test_rolling_shutters_bend_no_poses() -> None:
     ]
     solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
     (error,) = errors_of(solution)
+    _check_covariance(solution)
     assert np.linalg.norm(error[:3]) < 0.002
     assert np.degrees(np.linalg.norm(error[3:])) < 0.1
     np.testing.assert_allclose(solution.bundle.state.readouts, readouts, atol=0.001)
 
 
-def test_the_stated_covariance_covers_the_truth(solution: RigSolution) -> None:
+def _check_covariance(solution: RigSolution) -> None:
     relative = np.concatenate([np.zeros((1, 6)), errors_of(solution)])
     errors = settled(camera_poses(solution.bundle.state), relative.reshape(-1, 1)).reshape(-1, 6)
     for error, covariance in zip(errors, pose_covariances(solution, np.eye(4)), strict=True):
         assert chi2.ppf(0.0001, 6) < error @ np.linalg.solve(covariance, error) < chi2.ppf(0.9999, 6)
         assert np.sqrt(np.trace(covariance[:3, :3])) < 0.01
+
+
+def test_the_stated_covariance_covers_the_truth(solution: RigSolution) -> None:
+    _check_covariance(solution)
 
 
 def test_unknown_lenses_are_found_with_the_poses() -> None:
@@ -272,7 +277,10 @@ def test_stamps_that_jitter_are_not() -> None:
     ]
     shaky = [replace(c, stamps=c.stamps + np.rint(rng.normal(0, 1e7, len(c.stamps))).astype(np.int64)) for c in cameras]
     solution = calibrate_rig(BOARD, shaky, RigOptions(lenses=False, board=False))
-    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.03
+    # Taken for right, such stamps left a camera 4.3 mm off.
+    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.003
+    assert 0.008 < np.sqrt(np.mean(solution.bundle.jitter_s**2)) < 0.015
+    _check_covariance(solution)
 
 
 def test_cameras_chained_by_pairs_are_one_rig() -> None:

@@ -47,6 +47,8 @@ class BundleState:
     """[C, 2] seconds to add to each camera's time at `reference_s`, and how fast that grows; the first are fixed."""
     readouts: Float64
     """[C] s from a camera's first row to its last, as a rolling shutter exposes them; stamps are the middle row's."""
+    delays: Float64
+    """[V] s by which each image was taken later than its stamp and its camera's clock say."""
     reference_s: float = 0.0
     """Time at which the clocks' offsets hold."""
 
@@ -68,6 +70,8 @@ class BundleOptions:
     """Clock offsets and rates, where the board moves."""
     readouts: bool = True
     """How long rolling shutters take, where the board moves."""
+    delays: bool = True
+    """What stamps are off by one by one, where clocks are free."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,8 @@ class BundleResult:
     """Per sighting: [N, 2] found minus projected, pixels."""
     noise_px: Float64
     """[C] 1 sigma of each camera's corners, pixels."""
+    jitter_s: Float64
+    """[C] 1 sigma of each camera's `delays`, s; 0 where they are fixed."""
     doubt: Callable[[], Float64]
     """Works out the `covariance`."""
     layout: Layout

@@ -11,7 +11,8 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
-from twin_node.rig.calibrate.course import ACCELERATION, TURN_ACCELERATION, Placed
+from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
+from twin_node.rig.calibrate.course import ACCELERATION, TURN_ACCELERATION, Blend, Placed
 from twin_node.rig.calibrate.lenses import project
 from twin_node.rig.calibrate.normal_equations import NOWHERE, NormalEquations
 from twin_node.rig.calibrate.rotations import cross_matrix, moved, quat_product
@@ -32,6 +33,16 @@ RATE_SIGMA = 100e-6
 
 READOUT_SIGMA_S = 0.02
 """1 sigma of a readout: none where all rows are exposed at once, up to a frame's period of 33 ms in webcams."""
+
+JITTER_SIGMA_S, LEAST_JITTER_S, MOST_JITTER_S = 0.005, 2e-5, 0.04
+"""1 sigma of what single stamps are off by: at first; from the second round on what was measured, within the others.
+Webcams' images are stamped when they arrive, some milliseconds sooner or later; what is worse is another clock."""
+
+JITTER_FALL = 5.0
+"""The most that a round takes from it: what is thought of as certain would not be doubted again."""
+
+LEAST_TOLD_IMAGES = 1.0
+"""Delays are told by so many images at least: where a camera saw the board alone its course takes them all up."""
 
 ROBUST_SIGMAS = 2.0
 """Corners further off than so many sigma count linearly (soft L1): motion blur loses its pull."""
@@ -98,6 +109,8 @@ class BundleProblem:
         places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
         self._places = [np.flatnonzero(own) for own in places]
         """Per camera: [N] of all V * P corners the ones that it found."""
+        self.jitter = np.full(cameras, JITTER_SIGMA_S if self.layout.clocks and options.delays else 0.0)
+        """[C] 1 sigma of each camera's delays, s; 0 where they are fixed."""
         self._step = _step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
@@ -106,10 +119,24 @@ class BundleProblem:
         displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
         self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
 
+    def measure_jitter(self, state: BundleState, kept: Bool, noise_px: Float64) -> None:
+        """Sets what stamps may be off by to what they are off by, beyond what noise of the corners makes of them."""
+        if not self.jitter.any():
+            return
+        variances = self.equations(state, self.look(state), kept, noise_px).delay_variances()
+        jitter, used = self.jitter.copy(), kept.any(axis=1)
+        for camera in range(len(jitter)):
+            views = np.flatnonzero((self.camera == camera) & used)
+            told = 1 - variances[views] / jitter[camera] ** 2  # 0: of the delay nothing is known but the jitter
+            square = float((state.delays[views] ** 2 - told * variances[views]).sum())
+            square /= max(float((told**2).sum()), LEAST_TOLD_IMAGES)
+            least = max(jitter[camera] / JITTER_FALL, LEAST_JITTER_S)
+            jitter[camera] = np.clip(np.sqrt(max(square, 0.0)), least, MOST_JITTER_S)
+        self.jitter = jitter
+
     def look(self, state: BundleState) -> Look:
         """Where a state would have everything be seen."""
-        blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
-        placed = state.course.at(blend)
+        placed = state.course.at(self._blend(state))
         lags = state.readouts[self.camera, None] * self._rows
         points = state.points + lags[..., None] * np.cross(placed.speeds[:, None, :3], state.points)
         shifted = placed.positions[:, None] + lags[..., None] * placed.speeds[:, None, 3:]
@@ -136,27 +163,27 @@ class BundleProblem:
         board = float((((state.points - self._start.points) / self._tolerance) ** 2).sum())
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
         clocks += float(((state.readouts / READOUT_SIGMA_S) ** 2).sum())
+        clocks += float(((state.delays / np.maximum(self.jitter, LEAST_JITTER_S)[self.camera]) ** 2).sum())
         return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((self._roughness(state) ** 2).sum()))
 
-    def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> NormalEquations:
-        """The normal equations about a state."""
+    def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> BundleEquations:
+        """The equations about a state."""
         reach = 4 if any(stretch.count > 1 for stretch in state.course.stretches) else 1
         equations = NormalEquations(6 * len(state.course.quats), 6 * reach - 1, self.layout.size)
-        square = (look.residuals**2).sum(-1) / noise_px[self.camera, None] ** 2
-        weights = np.where(kept, (1 + square / ROBUST_SIGMAS**2) ** -0.25, 0.0) / noise_px[self.camera, None]
-        blend = state.course.blend(self._boards, state.rig_times(self.camera, self._times))
+        weights, blend = self._weights(look, kept, noise_px), self._blend(state)
+        late = []
         for camera in range(self.layout.cameras):
             # In the order of the course, so that images that share control poses are summed up before they are added.
             views = np.flatnonzero(self.camera == camera)
             views = views[np.argsort(blend.controls[views, 0], kind="stable")]
-            self._add_camera(equations, state, look, weights, views, blend.controls[views])
+            late += self._add_camera(equations, state, look, weights, views, blend.controls[views])
         self._add_smoothness(equations, state)
         self._add_priors(equations, state)
-        return equations
+        return BundleEquations(equations, tuple(late), len(self.camera))
 
-    def changed(self, state: BundleState, inner: Float64, outer: Float64) -> BundleState:
-        """The state after changes of the course [6 K] and of what the layout holds."""
-        layout = self.layout
+    def changed(self, state: BundleState, change: Change) -> BundleState:
+        """The state after a change."""
+        layout, outer = self.layout, change.outer
         cameras = np.concatenate([np.zeros((1, 6)), outer[: 6 * (layout.cameras - 1)].reshape(-1, 6)])
         lenses = state.lenses
         if layout.lens_sizes:
@@ -172,11 +199,12 @@ class BundleProblem:
         return replace(
             state,
             T_cam_rig=moved(state.T_cam_rig, cameras),
-            course=state.course.changed(inner.reshape(-1, 6)),
+            course=state.course.changed(change.inner.reshape(-1, 6)),
             lenses=lenses,
             points=points,
             clocks=clocks,
             readouts=readouts,
+            delays=state.delays + change.delays,
         )
 
     def covariance(self, state: BundleState, kept: Bool, noise_px: Float64) -> Float64:
@@ -188,7 +216,16 @@ class BundleProblem:
         spare = max(1 - (6 * len(state.course.quats) + self.layout.size) / (2 * len(square)), 0.1)
         plain = np.zeros_like(look.residuals)
         equations = self.equations(state, replace(look, residuals=plain), kept, noise_px)
-        return equations.outer_covariance() * float(pull.mean()) / spare / float(bend.mean()) ** 2
+        return equations.normal.outer_covariance() * float(pull.mean()) / spare / float(bend.mean()) ** 2
+
+    def _blend(self, state: BundleState) -> Blend:
+        """What the board's poses at all images' times are made of."""
+        return state.course.blend(self._boards, state.rig_times(self.camera, self._times) + state.delays)
+
+    def _weights(self, look: Look, kept: Bool, noise_px: Float64) -> Float64:
+        """[V, P] what residuals (pixels) times which are in sigmas, far ones counted for less; 0: not kept."""
+        square = (look.residuals**2).sum(-1) / noise_px[self.camera, None] ** 2
+        return np.where(kept, (1 + square / ROBUST_SIGMAS**2) ** -0.25, 0.0) / noise_px[self.camera, None]
 
     def _outer_columns(self, lens_parameters: int) -> NDArray[np.int64]:
         """[C, 6 + 2 + L + 1] outer columns of each camera's pose, clock, lens and readout; `NOWHERE` for what is fixed.
@@ -211,14 +248,23 @@ class BundleProblem:
         weights: Float64,
         views: NDArray[np.int64],
         controls: NDArray[np.int64],
-    ) -> None:
-        """The images `views` of one camera, in the order of the `controls` that their boards' poses are made of."""
+    ) -> list[Late]:
+        """The images `views` of one camera, in the order of the `controls` that their boards' poses are made of.
+
+        Their delays are eliminated; what these come to is told.
+        """
         if not len(views):
-            return
+            return []
         camera, slopes = self.camera[views[0]], self._slopes(state, look, weights, views)
         J, steering, motions = slopes.J, slopes.steering, slopes.steering.shape[1]
         rows = J.reshape(len(views), -1, J.shape[-1])
         squares = rows.swapaxes(1, 2) @ rows
+        products = None
+        if self.layout.points:
+            products = np.einsum("vpai,vpaj->vipj", J, slopes.by_corner).reshape(len(views), J.shape[-1], -1)
+        delays = self._delays(state, look.placed.speeds[views], squares, products, views)
+        if delays is not None:
+            squares = squares - delays.products(delays.by_image)
         # An image's whole board moves alike, whatever moves it: the first columns hold all that there is to know.
         steered, own = steering.swapaxes(1, 2), self._own_motions(state, look.placed, views, motions, J.shape[-1])
         by_own = squares @ own
@@ -231,15 +277,40 @@ class BundleProblem:
         equations.add_inner(inner, inner_squares[:, :, :24], inner_squares[:, :, -1])
         equations.add_outer(outer, outer_squares[:-1, :-1], outer_squares[:-1, -1])
         equations.add_mixed(inner, outer, inner_squares[:, :, 24:-1])
-        if self.layout.points:
-            by_corner = slopes.by_corner
-            products = np.einsum("vpai,vpaj->vipj", J, by_corner).reshape(len(views), J.shape[-1], -1)
+        corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
+        if products is not None:
+            alone = block_diag(*np.einsum("vpai,vpaj->pij", slopes.by_corner, slopes.by_corner))
+            if delays is not None:
+                products = products - delays.products(delays.by_corner)
+                alone = alone - np.einsum("vi,v,vj->ij", delays.by_corner, 1 / delays.told, delays.by_corner)
             by_corners = (own.swapaxes(1, 2) @ products).sum(0)
-            corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
             equations.add_mixed(inner, corners, _summed(steered @ products[:, :motions], groups))
             equations.add_between(outer, corners, by_corners[:-1])
-            alone = np.einsum("vpai,vpaj->pij", by_corner, by_corner)
-            equations.add_outer(corners, block_diag(*alone), by_corners[-1])
+            equations.add_outer(corners, alone, by_corners[-1])
+        if delays is None:
+            return []
+        by_steering = (delays.by_image[:, None, :motions] @ steering)[:, 0]
+        by_outer = (delays.by_image[:, None] @ own)[:, 0, :-1]
+        columns = 6 * controls[:, :, None] + np.arange(6)
+        return [Late(views, columns.reshape(-1, 24), by_steering, outer, by_outer, corners, delays)]
+
+    def _delays(
+        self,
+        state: BundleState,
+        speeds: Float64,
+        squares: Float64,
+        products: Float64 | None,
+        views: NDArray[np.int64],
+    ) -> Delays | None:
+        """What the images `views` of one camera tell of their delays; None where these are fixed."""
+        jitter = self.jitter[self.camera[views[0]]]
+        if not jitter:
+            return None
+        by_image = (squares[:, :, :6] @ speeds[..., None])[..., 0]
+        by_image[:, -1] -= state.delays[views] / jitter**2
+        told = (by_image[:, :6] * speeds).sum(1) + jitter**-2
+        none = np.zeros((len(views), 0))
+        return Delays(by_image, none if products is None else (speeds[:, None] @ products[:, :6])[:, 0], told)
 
     def _slopes(self, state: BundleState, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
         """How what the images `views` of one camera show changes."""

@@ -30,6 +30,10 @@ ROUNDS = 6
 SETTLED = 1e-3
 """Share of corners that change sides in a round below which the outliers are found."""
 
+STEADY, STEADY_S = 0.1, 1e-4
+"""Share, or s, by which the jitter of stamps changes in a round below which it is found: in a tenth of a millisecond
+hands move a board by a tenth of a millimetre."""
+
 NOISE_FLOOR_PX = 0.02
 """No corner is better than this, so that synthetic images do not divide by zero."""
 
@@ -44,21 +48,28 @@ MOST_DAMPING = 1e8
 
 
 def solve_bundle(
-    start: BundleState, sightings: Sequence[Sighting], options: BundleOptions | None = None
+    start: BundleState,
+    sightings: Sequence[Sighting],
+    options: BundleOptions | None = None,
+    jitter_s: Float64 | None = None,
 ) -> BundleResult:
     """The state that explains all sightings best, from a start within the basin of convergence.
 
-    Each camera's noise is estimated from its own residuals; corners, and images, that do not fit are left out.
+    Each camera's noise is estimated from its own residuals, and the jitter of its stamps from its images' delays;
+    corners, and images, that do not fit are left out. `jitter_s` [C]: what an earlier solution found.
     """
     problem = BundleProblem(start, sightings, options or BundleOptions())
+    problem.jitter = problem.jitter if jitter_s is None else jitter_s
     state, kept, noise = start, problem.seen, np.ones(len(start.lenses))
     for _ in range(ROUNDS):
         state = minimise(problem, state, kept, noise, ROUGHLY)
-        residuals, before = problem.look(state).residuals, kept
+        residuals, before, jitter = problem.look(state).residuals, kept, problem.jitter
         noise = _noise(residuals, kept, problem.camera, len(noise))
         kept = _inliers(residuals, problem.seen, noise[problem.camera])
         problem.measure_board(state)
-        if (kept != before)[problem.seen].mean() < SETTLED:
+        problem.measure_jitter(state, kept, noise)
+        steady = np.allclose(problem.jitter, jitter, rtol=STEADY, atol=STEADY_S)
+        if steady and (kept != before)[problem.seen].mean() < SETTLED:
             break
     state = minimise(problem, state, kept, noise)
     residuals = problem.look(state).residuals
@@ -69,6 +80,7 @@ def solve_bundle(
         tuple(_thinned(sighting, own) for sighting, own, _ in views if own.any()),
         tuple(residual[own] for _, own, residual in views if own.any()),
         noise,
+        problem.jitter,
         partial(problem.covariance, state, kept, noise),
         problem.layout,
         tuple(sighting for sighting, own, _ in views if not own.any()),
@@ -94,7 +106,7 @@ def minimise(
     for _ in range(MAX_STEPS):
         equations = problem.equations(state, look, kept, noise_px)
         while damping < MOST_DAMPING:
-            tried = problem.changed(state, *equations.solution(damping))
+            tried = problem.changed(state, equations.solution(damping))
             seen = problem.look(tried)
             found = problem.cost(tried, seen, kept, noise_px)
             if found < cost:

@@ -8,6 +8,7 @@ import numpy as np
 
 from twin_node.geometry import transform
 from twin_node.rig.calibrate.bundle import BundleResult, Sighting
+from twin_node.rig.calibrate.bundle_problem import MOST_JITTER_S
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.errors import RigError
@@ -15,12 +16,11 @@ from twin_node.scene import Float64
 
 MOST_WORSE, LEAST_PX = 8.0, 0.5
 """Images of one rig fit it up to so many times worse than each fits a place of its own; less than so many pixels is no
-matter. A good recording of rolling shutters and free clocks (`charuco_4cam`) has 5 times, 0.5 pixels; stamps that are
-seconds off have 15 times and more."""
+matter. A good recording of rolling shutters and free clocks (`charuco_4cam`) has 1.4 times; stamps that are seconds off
+have 11 times and more."""
 
 MOST_LEFT_OUT = 0.15
-"""Share of all images of a moved board that a fit may do without. Good recordings lose 1 %, stamps that jitter by 15 ms
-9 %; where a clock is seconds off, jumps by half a second or runs a fifth too fast 18 % and more are lost."""
+"""Share of all images of a moved board that a fit may do without. Good recordings lose 1 %."""
 
 CAUSE = (
     "are the stamps those of its frames, in seconds, and the cameras' clocks within a second of each other all along? "
@@ -36,6 +36,11 @@ def check_fit(
     `lenses`: as each camera's own images tell them; `given`: the sightings that the bundle was made of.
     """
     for camera, (name, lens) in enumerate(zip(names, lenses, strict=True)):
+        if bundle.jitter_s[camera] >= MOST_JITTER_S:
+            raise RigError(
+                f"camera {name}: expected stamps that are right to {1e3 * MOST_JITTER_S:g} ms, one by one, found them "
+                f"off by that and more; {CAUSE}"
+            )
         fits = [(s, r) for s, r in zip(bundle.sightings, bundle.residuals, strict=True) if s.camera == camera]
         if not fits:
             raise RigError(f"camera {name}: expected images that fit the other cameras', found none that do; {CAUSE}")

@@ -236,7 +236,9 @@ def _solve(board: Board, views: Sequence[BoardView], size: tuple[int, int], mode
 def _bundle(board: Board, views: Sequence[BoardView], start: LensStart) -> BundleResult:
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
     course = still_course(start.poses)
-    state = BundleState(np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)), np.zeros(1))
+    state = BundleState(
+        np.eye(4)[None], course, (start.lens,), board.points, np.zeros((1, 2)), np.zeros(1), np.zeros(len(views))
+    )
     return solve_bundle(state, sightings, BundleOptions())
 
 

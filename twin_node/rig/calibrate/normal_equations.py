@@ -75,6 +75,21 @@ class NormalEquations:
         outer = np.asarray(cho_solve(cho_factor(schur), self._c[:-1] - B.T @ reach[:, -1]))
         return np.asarray(reach[:, -1] - reach[:, :-1] @ outer), outer
 
+    @property
+    def outer(self) -> int:
+        """Count of outer unknowns."""
+        return len(self._c) - 1
+
+    def variances(self, columns: NDArray[np.int64], by_inner: Float64, by_outer: Float64) -> Float64:
+        """[V] of sums of inner unknowns at `columns` [V, n] times `by_inner` [V, n] and all outer ones [V, outer]."""
+        A, B = self._A.T.copy(), self._B[:, :-1]
+        A[0] += HELD
+        sums = np.zeros((len(A[0]), len(columns)))
+        np.add.at(sums, (columns, np.arange(len(columns))[:, None]), by_inner)
+        reach = cho_solve_banded((cholesky_banded(A, lower=True), True), sums)
+        rest = by_outer - reach.T @ B
+        return np.asarray((sums * reach).sum(0) + np.einsum("vi,ij,vj->v", rest, self.outer_covariance(), rest))
+
     def outer_covariance(self) -> Float64:
         """[outer, outer] inverse of the Schur complement; what rounding leaves of an unknown is open, not certain."""
         A, B, C = self._A.T.copy(), self._B[:, :-1], self._C[:-1, :-1]

@@ -110,7 +110,8 @@ def start_of(
     if not all(camera.moving for camera in cameras):
         course = still_course(np.stack([graph.T_rig_board[i] for i in range(len(chosen))]))
         names = tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets)
-        state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts)
+        delays = np.zeros(len(sets))
+        state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts, delays)
         return Start(state, tuple(sets), names, origin)
     step_s = max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
     windows = _windows(first_look, len(cameras), stamps)
@@ -125,7 +126,8 @@ def start_of(
         places.append(np.stack([T_rig_cam[s.camera] @ T for s, T in own]))
     course = smooth_course(times, places, step_s)
     middle = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
-    state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts, middle)
+    delays = np.zeros(len(seen.sightings))
+    state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts, delays, middle)
     return Start(state, seen.sightings, seen.names, origin)
 
 
