@@ -1,6 +1,7 @@
 """Videos become a log whose images, stamps and calibration are those of the rig, or nothing at all."""
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,24 @@ def test_stamps_to_spare_are_a_warning(tmp_path: Path, video: Path) -> None:
     report = import_video([VideoCamera(camera("left"), video, stamps=stamps(0, 1, 12))], tmp_path / "log.mcap")
     assert report.frames == (FRAMES,)
     assert report.warnings == ("camera left: 12 stamps for 10 frames; the last are not used",)
+
+
+def test_a_rate_for_a_video_that_has_none_is_told(tmp_path: Path) -> None:
+    """As of telephones, whose rate varies: 4.4 s became 2, and nobody said so."""
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "phone.mp4"), "w") as file:
+        stream = file.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.codec_context.time_base = stream.time_base = Fraction(1, 1000)
+        for pts in (0, 33, 67, 200, 233, 267, 300):
+            frame = av.VideoFrame.from_ndarray(np.zeros((HEIGHT, WIDTH, 3), np.uint8), format="rgb24")
+            frame.pts, frame.time_base = pts, Fraction(1, 1000)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    (told,) = import_video([VideoCamera(camera("a"), tmp_path / "phone.mp4", fps=30.0)], tmp_path / "a.mcap").warnings
+    assert "camera a: " in told and "frame 3 comes 0.133 s after the one before, where 0.03" in told
+    timed = VideoCamera(camera("a"), tmp_path / "phone.mp4", stamps(0, 10**7, 7))
+    assert not import_video([timed], tmp_path / "b.mcap").warnings
 
 
 def test_a_camera_that_began_before_the_others_is_no_error(tmp_path: Path, video: Path) -> None:

@@ -19,6 +19,8 @@ from twin_node.messages import convert
 from twin_node.scene import NAME_WANTED, Float64, Rig, RigCamera, UInt8, as_camera_name, is_camera_name
 
 NS_PER_S = 1_000_000_000
+MOST_PERIODS, ROUNDING_S = 1.5, 0.002
+"""Usual periods of a video's own times, and s, beyond which the time between two frames is no matter of rounding."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,8 @@ class _Clip:
         self.frames = 0
         self.shift_ns = 0
         """Put on every stamp."""
+        self._file_times: list[float] = []
+        """s, of the frames read, as the file has them."""
 
     @property
     def first_stamp(self) -> int:
@@ -150,6 +154,7 @@ class _Clip:
                 if not ok:
                     return
                 stamp = self._stamp(self.frames)
+                self._note_time()
                 self.frames += 1
                 yield _Frame(self.camera, stamp, np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8))
         finally:
@@ -160,6 +165,8 @@ class _Clip:
         name, video = self.camera.name, self._source.video
         if self.frames == 0:
             raise BagError(f"camera {name}: {video} holds no frame that can be decoded; record or convert it again")
+        if (irregular := self._irregular()) is not None:
+            self.warnings.append(irregular)
         if self.frames < self.claimed_frames:
             self.warnings.append(
                 f"camera {name}: {video} ends after {self.frames} of the {self.claimed_frames} frames that it announces"
@@ -168,6 +175,26 @@ class _Clip:
             self.warnings.append(
                 f"camera {name}: {len(self._source.stamps)} stamps for {self.frames} frames; the last are not used"
             )
+
+    def _note_time(self) -> None:
+        """Takes note of the time that the file has for the frame just read."""
+        self._file_times.append(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
+
+    def _irregular(self) -> str | None:
+        """That the file's own times have no rate, where a rate is to stamp its frames."""
+        periods = np.diff(self._file_times)
+        if self._source.stamps is not None or len(periods) < 2 or periods.min() < 0:
+            return None
+        usual = float(np.median(periods))
+        if periods.max() <= MOST_PERIODS * usual + ROUNDING_S:
+            return None
+        late, video = int(periods.argmax()) + 1, self._source.video
+        return (
+            f"camera {self._source.camera.name}: in {video} frame {late} comes {periods.max():.3f} s after the one "
+            f"before, where {usual:.3f} s are usual: it has no rate, and fps {self._source.fps:g} stamps it wrongly; "
+            "give its own times as `stamps`: ffprobe -v error -select_streams v -show_entries frame=pts_time -of "
+            f"csv=p=0 {video.name} > {video.stem}.txt"
+        )
 
     def _stamp(self, index: int) -> int:
         source = self._source
