@@ -35,6 +35,17 @@ def short_run() -> Run:
     return Run(ChainParameters(), 1, 1, 0, 0.1, 100.0, 1000.0, model, 10, collector, None, None)
 
 
+def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
+    """Of a log in which one camera has another clock than the others all sets were made of it alone, in silence."""
+    run = short_run()
+    run.collector.arrived, run.collector.images = 10, {"a": 10, "b": 2}
+    lines = run.missed(["a", "b", "c"])
+    assert [line.split(": its")[0] for line in lines] == [
+        "camera b: in only 2 of 10 sets",
+        "camera c: in only 0 of 10 sets",
+    ]
+
+
 def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:
     figures = figures_of(short_run(), Quality(), {}, Foresight())
     unknown = {

@@ -27,6 +27,10 @@ class CollectorNode(Node):
         super().__init__("collector", bus, clock)
         self.stamps: list[int] = []
         """Of every set that went through the chain, ns."""
+        self.arrived = 0
+        """Sets that came to the chain."""
+        self.images: dict[str, int] = {}
+        """Camera -> number of these that it had an image in."""
         self.latencies_ms: list[float] = []
         """From the newest image's stamp to the speed decision, by the run's clock, in real time."""
         self.work_ms: list[float] = []
@@ -76,6 +80,9 @@ class CollectorNode(Node):
             self._spool.add(Tick(replace(frames, views=views)))
 
     def _on_arrival(self, frames: FrameSet) -> None:
+        self.arrived += 1
+        for view in frames.views:
+            self.images[view.camera.name] = self.images.get(view.camera.name, 0) + 1
         self._begun = time.perf_counter()
 
     def _on_frames(self, frames: FrameSet) -> None:
