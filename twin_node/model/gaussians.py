@@ -175,11 +175,8 @@ class Gaussians:
         """Living Gaussians of a tier."""
         return int((self.alive & (self.tiers == tier)).sum())
 
-    def spawn(self, born: Newborns, stamp: int, largest: float = LARGEST) -> Tensor:
-        """Stores as many of `born` as there is room for, in order; returns their rows.
-
-        `largest` is the log of how many times its size at birth each may reach.
-        """
+    def spawn(self, born: Newborns, stamp: int) -> Tensor:
+        """Stores as many of `born` as there is room for, in order; returns their rows."""
         claimed = self.claim(len(born.means))
         free, n = claimed.rows, len(claimed.rows)
         self.values[free] = born.packed()[:n]
@@ -189,7 +186,7 @@ class Gaussians:
         self.founders[free] = -1 if born.founders is None else born.founders[:n]
         self.ids[free] = torch.arange(claimed.first_id, claimed.first_id + n, device=free.device)
         self.births[free] = stamp
-        self.largest[free] = born.scales[:n].amax(-1).log() + largest
+        self.largest[free] = born.scales[:n].amax(-1).log() + LARGEST
         self.doubts[free] = 0
         self.homeless[free] = False if born.homeless is None else born.homeless[:n]
         self.forget_moments(free)

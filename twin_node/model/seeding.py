@@ -26,11 +26,8 @@ PLANE_SAMPLES = 4000
 FLATNESS = 0.2
 """Thickness of a Gaussian on the dominant plane in units of its radius."""
 SEED_OPACITY = 0.5
-SEED_SIGMA = 2.0
+SEED_SIGMA = 1.5
 """Of a Gaussian, in radii of the block that it stands for: neighbours overlap, so that other views see no gaps."""
-LARGEST_SEED = 2.0
-"""Log of how many times its size at birth a seed may reach: what is even is better drawn by few large ones, which look
-alike from elsewhere. With 1.1, as of all others, views from elsewhere are half a decibel to one worse."""
 CELL = 1.4
 """Side of the cells in which blocks of several views are merged, in radii of a block, which is two wide: what two views
 show of one place they show of different halves of it."""

@@ -28,7 +28,7 @@ from twin_node.model.past import Moment, Past
 from twin_node.model.publishing import cloud_at, cloud_of, node_states_of
 from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
-from twin_node.model.seeding import LARGEST_SEED, Seeds, seed
+from twin_node.model.seeding import Seeds, seed
 from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, unwatched
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
@@ -309,7 +309,7 @@ class WindowModel:
         self._gaussians = Gaussians(capacity, self._device)
         arms = self._arm_depths(frames, robots)
         seeds = seed(frames.views, arms, self.parameters.seed, int(SEED_SHARE * self._gaussians.capacity), self._device)
-        self._gaussians.spawn(seeds.born, frames.stamp, LARGEST_SEED)
+        self._gaussians.spawn(seeds.born, frames.stamp)
         return seeds
 
     def _started(self, frames: FrameSet, robots: tuple[Bool | None, ...], seeds: Seeds) -> _Begun:
