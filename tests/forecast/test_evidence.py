@@ -74,3 +74,39 @@ def test_an_errand_that_failed_does_not_fail_all_that_follow(monkeypatch: pytest
         observer.observe(over_a_table(PERIOD_NS, None))
     evidence = observer.observe(over_a_table(2 * PERIOD_NS, None))
     assert decode_runs(evidence.unseen.result().unknown_runs, GRID.size).any()
+
+
+def measured_by_some(stamp: int, measured: tuple[bool, ...]) -> TwinState:
+    """An empty table before cameras of which only some have measured depth."""
+    state = over_a_table(stamp, None)
+    views = zip(state.frames.views, measured, strict=True)
+    kept = tuple(view if has_depth else replace(view, depth=None) for view, has_depth in views)
+    return replace(state, frames=replace(state.frames, views=kept))
+
+
+@pytest.mark.parametrize("lost", [(0,), (0, 2), (0, 1, 2, 3)])
+def test_what_stands_hides_what_is_behind_it_from_cameras_without_depth(lost: tuple[int, ...]) -> None:
+    """A camera whose depth image is lost does not see into the table."""
+    observer = Observer(GRID, CarvingParameters(), StaticParameters())
+    first = observer.observe(over_a_table(0, None))
+    heights = GRID.centers(np.arange(GRID.size))[:, 2]
+    below, above = heights < TABLE - 0.05, heights > TABLE + 0.1
+    free = ~decode_runs(first.unseen.result().unknown_runs, GRID.size) & above
+    for number in (1, 2):
+        evidence = observer.observe(measured_by_some(number * PERIOD_NS, tuple(row not in lost for row in range(4))))
+        unknown = decode_runs(evidence.unseen.result().unknown_runs, GRID.size)
+        assert unknown[below & ~np.isin(np.arange(GRID.size), evidence.static.indices)].all()
+        assert not unknown[free].any()
+        assert np.isin(first.static.indices, evidence.static.indices).all()
+
+
+def test_a_camera_without_depth_does_not_see_past_what_another_measures() -> None:
+    """One camera measures the table, three do not."""
+    observer = Observer(GRID, CarvingParameters(), StaticParameters())
+    evidence = observer.observe(measured_by_some(0, (True, False, False, False)))
+    unknown = decode_runs(evidence.unseen.result().unknown_runs, GRID.size)
+    unknown[evidence.static.indices] = True
+    middle = np.abs(GRID.centers(np.arange(GRID.size))[:, :2]).max(axis=1) < 0.3
+    heights = GRID.centers(np.arange(GRID.size))[:, 2]
+    assert unknown[middle & (heights < TABLE - 0.05)].all()
+    assert not unknown[middle & (heights > TABLE + 0.1)].any()

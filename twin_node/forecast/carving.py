@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
-from twin_node.forecast.tables import RigTables
+from twin_node.forecast.tables import Blocks, CameraTable, RigTables
 from twin_node.forecast.verdicts import Carved, Sight, carved
 from twin_node.scene import Bool, Camera, Float32, TwinState, View
 
@@ -26,12 +26,15 @@ class Carver:
         self._tables = tables
         self._blocks = tables.blocks
         self._backdrops = Backdrops()
+        self._fronts = _Fronts(self._blocks)
         self._last: tuple[TwinState, list[Sight]] | None = None
 
-    def carve(self, state: TwinState, speed: float) -> Carved:
+    def carve(self, state: TwinState, speed: float, stands: NDArray[np.int64] | None = None) -> Carved:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
-        States come in rising order of stamps: what each depth camera saw behind moving things before is remembered.
+        `stands` [n]: flat indices of what some camera measured to stand, which cameras without depth do not see past;
+        None: as for the state before. States come in rising order of stamps: what each depth camera saw behind moving
+        things before is remembered.
         Raises `ForecastError` for images or masks that are not of their camera's size, and for a camera whose
         calibration error cannot be.
         """
@@ -39,6 +42,8 @@ class Carver:
             if misfit := view.misfit(moving=moving, robot=robot):
                 raise ForecastError(f"state of {state.stamp} ns: {misfit}")
         self._backdrops.update(state)
+        if stands is not None:
+            self._fronts.update(stands)
         sights = self._sights(state, speed)
         self._last = (state, sights)
         return carved(self._blocks, sights)
@@ -66,7 +71,18 @@ class Carver:
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             backdrop = None if view.depth is None else self._backdrops.of(view)
             looks.append(Look(table, view, moving, robot, backdrop, pixels))
-        return sights_of(looks, self.parameters)
+        sights = sights_of(looks, self.parameters)
+        for look, sight in zip(looks, sights, strict=True):
+            if look.view.depth is None:
+                self._end_before_what_stands(look, sight)
+        return sights
+
+    def _end_before_what_stands(self, look: Look, sight: Sight) -> None:
+        """Lets a view without depth free nothing behind what is known to stand: it does not measure how far it sees."""
+        known = np.minimum(self._fronts.of(look.table), self._backdrops.of(look.view)).ravel()
+        fronts = known * np.float32(1 - self.parameters.depth_share) - np.float32(self.parameters.depth_margin)
+        freed = sight.free_until[:-1]
+        np.minimum(freed, np.where(known > 0, fronts, freed), out=freed)
 
     def _calibration_error(self, camera: Camera) -> float:
         """By how far a camera's calibration lets masks and surfaces be off, m.
@@ -79,3 +95,24 @@ class Carver:
                 f"{camera.sigma_m:g}; correct the rig"
             )
         return self.parameters.sigmas * (camera.sigma_m or self.parameters.assumed_sigma_m)
+
+
+class _Fronts:
+    """How deep cameras without depth see before they meet what stands; drawn once per camera as long as that stands."""
+
+    def __init__(self, blocks: Blocks) -> None:
+        self._blocks = blocks
+        self._stands = np.zeros(0, np.int64)
+        self._drawn: dict[str, tuple[CameraTable, Float32]] = {}
+
+    def update(self, stands: NDArray[np.int64]) -> None:
+        """Takes in what stands: flat voxel indices [n]."""
+        if stands is not self._stands:
+            self._stands, self._drawn = stands, {}
+
+    def of(self, table: CameraTable) -> Float32:
+        """[H, W] m, of a camera."""
+        known = self._drawn.get(table.camera.name)
+        if known is None or known[0] is not table:
+            known = self._drawn[table.camera.name] = (table, table.fronts_of(self._blocks.locate(self._stands)))
+        return known[1]

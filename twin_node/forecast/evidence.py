@@ -29,7 +29,7 @@ from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Whole
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
-from twin_node.scene import Float64, Grid, OccupancyLayer, TwinState, UInt32, read_only
+from twin_node.scene import Bool, Float64, Grid, OccupancyLayer, TwinState, UInt32, read_only
 from twin_node.side_thread import Errand, SideThread
 
 
@@ -116,7 +116,7 @@ class Observer:
 
         `anew`: what was known of how things move no longer holds.
         """
-        found = self._without_arm(state, self._carver.carve(state, self._speed()))
+        found = self._without_arm(state, self._carve(state))
         if anew:
             self._velocities = PartVelocities(self.tables)
             self._last_centers, self._last = np.zeros((0, 3)), Estimate.unknown(0)
@@ -144,6 +144,14 @@ class Observer:
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
         )
 
+    def _carve(self, state: TwinState) -> Carved:
+        """What the views say of the outer grid. Of the first ones what stands is found first, for some of them may not
+        measure it."""
+        if self._standing is None:
+            self._carver.carve(state, 0.0)
+            self._standing = _Standing.of(self._static.update(state, self._carver), self.margin)
+        return self._carver.carve(state, self._speed(), self._static.measured)
+
     def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Unseen]:
         """What there may be in the inner grid's `unknown` space; states are followed one after the other."""
         before, self._errand = self._errand, None  # one that failed says so once
@@ -160,6 +168,10 @@ class Observer:
 
         self._errand = self._side_thread.begin(look)
         return self._errand
+
+    def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
+        """Whether some camera frees each of the voxels `indices` [n] of the outer grid, by the last state."""
+        return self._carver.frees(state, indices)
 
     def places(self, indices: NDArray[np.int64]) -> NDArray[np.int32]:
         """Voxel coordinates [3, n] in the inner grid, also of voxels beside it, of flat `indices` [n] in the outer."""

@@ -40,6 +40,8 @@ class StaticSpace:
         self.grid = grid
         self.parameters = parameters or StaticParameters()
         self._surfaces = np.zeros(grid.size, np.bool_)
+        self.measured = np.zeros(0, np.int64)
+        """[n] flat indices of what some camera has measured of it: the same array until it is refreshed."""
         self._layer = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
         self._made_at: int | None = None
         self._turn = 0
@@ -52,6 +54,7 @@ class StaticSpace:
             self._made_at = state.stamp
             self._turn += 1
             self._remember_surfaces(state, carver, chosen)
+            self.measured = np.flatnonzero(self._surfaces)
             occupied = self._surfaces.copy()
             occupied[self._gaussian_voxels(state)] = True
             indices = np.flatnonzero(occupied).astype(np.uint32)

@@ -22,6 +22,8 @@ BLOCK = 4
 """Voxels along a side of a block: whole blocks are decided first, their voxels where that fails."""
 VOXELS = BLOCK**3
 """Voxels per block."""
+NOWHERE = np.float32(1e6)
+"""Depth of pixels that show none of some voxels, m."""
 
 
 class Blocks:
@@ -162,9 +164,24 @@ class CameraTable:
         """[H, W] True where the voxels at `places` project, each as large as a voxel in the middle of the grid."""
         hit = np.zeros(self.outside + 1, np.uint8)
         hit[self.voxels.pixels[places]] = 1
-        size = 2 * round(self.pixels_per_metre * self._blocks.grid.voxel_size / 2) + 1
         image = hit[:-1].reshape(self.camera.height, self.camera.width)
-        return cv2.dilate(image, np.ones((size, size), np.uint8)) > 0
+        return cv2.dilate(image, self._voxel()) > 0
+
+    def fronts_of(self, places: NDArray[np.int64]) -> Float32:
+        """[H, W] depth (m) at which the nearest of the voxels at `places` begins; `NOWHERE` where there is none.
+
+        Each is as large as a voxel in the middle of the grid.
+        """
+        seen = self.at(places)
+        nearest = np.full(self.outside + 1, NOWHERE, np.float32)
+        order = np.argsort(-seen.depth, kind="stable")  # of several in a pixel the last one stays
+        nearest[seen.pixels[order]] = seen.depth[order] - np.float32(self._blocks.grid.voxel_size / 2)
+        return cv2.erode(nearest[:-1].reshape(self.camera.height, self.camera.width), self._voxel()).astype(np.float32)
+
+    def _voxel(self) -> NDArray[np.uint8]:
+        """Pixels of a voxel in the middle of the grid, as a kernel."""
+        size = 2 * round(self.pixels_per_metre * self._blocks.grid.voxel_size / 2) + 1
+        return np.ones((size, size), np.uint8)
 
     def _sight(self, points: Float64) -> Sighting:
         u, v, z = project(self.camera.K, self.camera.viewmat, points).T
