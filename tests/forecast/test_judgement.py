@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
-from forecast_worlds import GRID, ball_voxels, state_of
+from forecast_worlds import GRID, RIG, ball_voxels, state_of
 from numpy.typing import NDArray
 
 from twin_node.forecast.judgement import Held, Judgement, Watch
@@ -79,3 +82,18 @@ def test_once_all_agrees_one_that_comes_into_view_piece_by_piece_is_no_contradic
         watch = watch.after(Held(seen=100, covered=100, measured=300, agreed=agreed))
     assert watch.warnings == ()
     assert watch.after(Held(seen=0, covered=0)).agreement == watch.agreement
+
+
+def test_ground_in_a_mask_that_is_wider_than_the_thing_is_no_contradiction() -> None:
+    """A small thing in the image of the only camera with depth: most of its mask shows the floor around it."""
+    margin = Margin(GRID, 0.15)
+    state = state_of(0, CENTER, radius=0.05, cameras=RIG[:1], with_depth=True)
+    wider = cv2.dilate(state.moving_masks[0].astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    state = replace(state, moving_masks=(wider,))
+    ball = ball_voxels(CENTER, 0.08)
+    judgement = Judgement(state, margin, RigTables(margin.outer), ball, halves(margin, ball))
+    assert judgement.of(ALL).agreed < 0.5 * judgement.of(ALL).measured
+    nobody = judgement.of_all(lambda voxels: np.zeros(len(voxels), np.bool_))
+    somebody = judgement.of_all(lambda voxels: np.ones(len(voxels), np.bool_))
+    assert nobody.measured == nobody.agreed > 0
+    assert somebody.measured == judgement.of(ALL).measured

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,7 +223,7 @@ class Forecaster:
         judgement = Judgement(state, self._observer.margin, self._observer.tables, due.indices, evidence.parts)
         found = judgement.of(known)
         if due.stamp >= self._sees_motion_from:
-            self._watch = self._watch.after(judgement.of(np.ones(evidence.parts.count, np.bool_)))
+            self._watch = self._watch.after(judgement.of_all(partial(self._observer.frees, state)))
         if found.seen:
             elapsed = (state.stamp - self._judged_at) / (due.valid_at - due.stamp)
             steady = judgement.of(known & self._predictor.unstartled_since(due.stamp * 1e-9))

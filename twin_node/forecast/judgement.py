@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.margin import Margin
-from twin_node.forecast.moving_surface import Moving, moving_surface
+from twin_node.forecast.moving_surface import Moving, moving_surface, places_of
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.tables import CameraTable, RigTables
 from twin_node.scene import Bool, TwinState
@@ -21,9 +22,9 @@ class Held:
     seen: int
     covered: int
     measured: int = 0
-    """Points of moving surfaces that depth cameras measured, seen to move by the others too or not."""
+    """Points that depth cameras measured of what shows to move, in what moves by all that is seen or not."""
     agreed: int = 0
-    """Of these, those in space that no other camera sees past."""
+    """Of these, those in what moves by all that is seen."""
 
     @property
     def share(self) -> float:
@@ -38,7 +39,7 @@ class Watch:
     unforeseen: float = 0.0
     """Share of all that moves now, new or not, that lay outside the forecast made for now."""
     agreement: float = 1.0
-    """Running mean share of the measured moving surface that no other camera sees past."""
+    """Running mean share of the measured moving surface that no camera sees past."""
     weighed: int = 2
     """Judgements in that mean, of two at the start that all agrees."""
 
@@ -90,14 +91,14 @@ class Judgement:
 
         `parts`: what moves now; flat indices in the outer grid, in rising order.
         """
-        self._parts, self._blocks = parts, tables.blocks
+        self._parts, self._blocks, self._margin = parts, tables.blocks, margin
         self._told: dict[bytes, Held] = {}
         """By who was chosen."""
         seen = list(zip(state.frames.views, state.moving_masks, strict=True))
-        measured = [Moving(view, mask) for view, mask in seen if view.depth is not None]
-        self._surface = moving_surface(measured, margin, parts, forecast)
+        self._measured = [Moving(view, mask) for view, mask in seen if view.depth is not None]
+        self._surface = moving_surface(self._measured, margin, parts, forecast)
         self._images: list[_Image] = []
-        if len(measured) < len(seen):
+        if len(self._measured) < len(seen):
             expected = tables.blocks.locate(margin.outward(forecast))
             flat = [(tables.of(view.camera), mask) for view, mask in seen if view.depth is None]
             self._images = [_Image(table, mask, table.image_of(expected)) for table, mask in flat]
@@ -111,6 +112,19 @@ class Judgement:
         if key not in self._told:
             self._told[key] = self._of(chosen)
         return self._told[key]
+
+    def of_all(self, sees_past: Callable[[NDArray[np.int64]], Bool]) -> Held:
+        """How much of all that moves was foreseen, and where cameras contradict each other.
+
+        `sees_past` tells of voxels [n], flat indices in the outer grid, which some camera sees past. It is asked only
+        where it may matter: masks are wider than things, and where a thing is small in the image of the only camera
+        that measures it, most of what that measures in them is the ground.
+        """
+        held = self.of(np.ones(self._parts.count, np.bool_))
+        if held.agreed >= LEAST_AGREEMENT * held.measured:
+            return held
+        unexplained = places_of(self._measured, self._margin)[self._surface.parts < 0]
+        return replace(held, measured=held.agreed + int(np.count_nonzero(sees_past(unexplained))))
 
     def _of(self, chosen: Bool) -> Held:
         surface = self._surface

@@ -14,7 +14,7 @@ from twin_node.forecast.part_requests import SurfaceRequest, SurfaceView
 from twin_node.forecast.parts import Parts
 from twin_node.forecast.static import unproject
 from twin_node.native_library import addresses_of
-from twin_node.scene import Bool, View
+from twin_node.scene import Bool, Float32, View
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class MovingSurface:
     """Points of moving surfaces in the inner grid, view by view."""
 
     parts: NDArray[np.int64]
-    """[n] part that holds each; -1 for none: another camera sees past it."""
+    """[n] part that holds each; -1 for none: another camera sees past it, or it does not stand out from the ground."""
     foreseen: Bool
     """[n] whether its voxel was forecast."""
 
@@ -88,12 +88,21 @@ def moving_surface_reference(
     expected[forecast] = True
     voxels, labels = np.append(parts.indices, margin.outer.size), np.append(parts.labels, -1)
     for one in seen:
-        assert one.view.depth is not None
-        points = unproject(one.view, one.mask & (one.view.depth > 0), finer=1)
-        indices = margin.inner.indices(points)
-        is_inside = indices >= 0
-        places = margin.outer.indices(points[is_inside])
+        points = _points(one, margin)
+        places = margin.outer.indices(points)
         nearest = np.searchsorted(voxels, places)
         held.append(np.where(voxels[nearest] == places, labels[nearest], -1))
-        foreseen.append(expected[indices[is_inside]])
+        foreseen.append(expected[margin.inner.indices(points)])
     return MovingSurface(np.concatenate(held), np.concatenate(foreseen))
+
+
+def places_of(seen: Sequence[Moving], margin: Margin) -> NDArray[np.int64]:
+    """[n] flat indices in the outer grid of the points that `moving_surface` finds, in its order."""
+    return np.concatenate([np.zeros(0, np.int64), *(margin.outer.indices(_points(one, margin)) for one in seen)])
+
+
+def _points(one: Moving, margin: Margin) -> Float32:
+    """[n, 3] m, those in the inner grid."""
+    assert one.view.depth is not None
+    points = unproject(one.view, one.mask & (one.view.depth > 0), finer=1)
+    return points[margin.inner.indices(points) >= 0]
