@@ -175,6 +175,18 @@ def test_a_silent_camera_does_not_stop_the_forecast() -> None:
     assert recall(run(states[:6] + half), -1) == 1.0
 
 
+@pytest.mark.parametrize(("cameras", "with_depth"), [(1, False), (2, False), (1, True)])
+def test_one_camera_without_depth_says_that_it_foresees_nothing(cameras: int, with_depth: bool) -> None:
+    forecaster = Forecaster(GRID)
+    for tick in range(3):
+        center = place(tick * PERIOD_NS)
+        forecaster.update(state_of(tick * PERIOD_NS, center, RADIUS, RIG[:cameras], with_depth), 10**9)
+    is_told = any("one camera without depth" in line for line in forecaster.quality.warnings)
+    assert is_told == (cameras == 1 and not with_depth)
+    forecaster.update(state_of(3 * PERIOD_NS, None, RADIUS, RIG[:cameras], with_depth), 10**9)
+    assert not any("one camera without depth" in line for line in forecaster.quality.warnings)
+
+
 def test_same_states_give_the_same_forecast() -> None:
     first, second = run(moving_ball(10)), run(moving_ball(10))
     for one, other in zip(first.layers, second.layers, strict=True):

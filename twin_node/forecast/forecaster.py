@@ -27,6 +27,7 @@ from twin_node.forecast.sighting import Sighted, sighted
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.forecast.tracks import REACH, Tracks
+from twin_node.forecast.verdicts import WITNESSES
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, Occupancy, OccupancyLayer, TwinState, read_only
 
@@ -171,14 +172,18 @@ class Forecaster:
         evidence = self._observer.observe(state, anew)
         if anew:
             self._tracks, self._anew_at, self._begins_anew = Tracks(), state.stamp, False
-        self._warnings = (_PAUSED,) if paused and evidence.parts.count else ()
-        if any(view.depth is not None for view in state.frames.views):
+        has_depth = any(view.depth is not None for view in state.frames.views)
+        is_told_apart = has_depth or len(state.frames.views) >= WITNESSES
+        alone = not is_told_apart and any(mask.any() for mask in state.moving_masks)
+        told = ((paused and evidence.parts.count > 0, _PAUSED), (alone, _ALONE))
+        self._warnings = tuple(line for is_so, line in told if is_so)
+        if has_depth:
             self._depth_at = state.stamp
         motion, whole = evidence.motion, evidence.whole
         succession = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, motion.velocities)
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        told = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
-        measured = told if anew or self._had_depth(state.stamp, LONGEST_GAP_S) else None
+        known = Measured(motion.sigmas, whole.flying, whole.followed, whole.falling, evidence.floors)
+        measured = known if anew or self._had_depth(state.stamp, LONGEST_GAP_S) else None
         factor = self._control.factor
         self._predictor.advance(self._tracks.history, succession, ahead_s, measured, factor, evidence.near)
         return evidence
@@ -282,6 +287,10 @@ class _Issued:
 
 _PAUSED = (
     "forecast: nothing is known of how things move after a pause in the images: worst case for them, tracks begun anew"
+)
+_ALONE = (
+    "forecast: one camera without depth shows that something moves, and not how far away: all along its lines of sight "
+    "space is unknown, and where it will be is not foreseen; add a camera, or one that measures depth"
 )
 _NEVER = np.iinfo(np.int64).min // 2
 _NOWHERE = 1e6
