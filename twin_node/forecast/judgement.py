@@ -65,7 +65,7 @@ _UNFORESEEN = (
 )
 _AT_ODDS = (
     "forecast: cameras measure what moves where others see past it: look for mirrors and glass, clocks that are off, "
-    "cameras out of place, and shadows that are taken for things"
+    "and cameras out of place"
 )
 FEWEST = 30
 """Pixels or points below which nothing is told by their shares."""
