@@ -333,3 +333,16 @@ def test_what_stood_behind_pixels_that_measured_nothing_is_known_from_those_abou
     pierced[row : row + 3, column : column + 3] = 0
     carver.carve(flat_state(0, pierced, still), 0.0)
     assert len(carver.carve(flat_state(33_000_000, wall, ~still), 0.0).may_move.indices()) == 0
+
+
+def test_a_camera_without_depth_frees_its_rays_up_to_what_is_known_to_stand() -> None:
+    wall = np.flatnonzero(np.abs(GRID.centers(np.arange(GRID.size)) - [0.0, 0.0, 0.45]).max(axis=1) < 0.1)
+    carver, state = Carver(RigTables(GRID)), state_of(0, None, cameras=RIG[:1])
+    away = RIG[0].T_base_cam[:3, 3] - [0.0, 0.0, 0.45]
+    step = 0.3 * away / np.linalg.norm(away)
+    before, behind = (GRID.indices(np.array([[0.0, 0.0, 0.45]]) + way) for way in (step, -step))
+    assert not carver.carve(state, 0.0).unknown.holds(np.concatenate([before, behind])).any()
+    unknown = carver.carve(state, 0.0, wall).unknown
+    assert not unknown.holds(before).any() and unknown.holds(behind).all()
+    assert carver.carve(state, 0.0).unknown.holds(behind).all(), "as for the state before"
+    assert not carver.carve(state, 0.0, wall[:0]).unknown.holds(behind).any()
