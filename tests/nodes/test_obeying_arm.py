@@ -52,3 +52,25 @@ def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> N
         cell.wait(8)
         cell.joints(stopped, -0.3 * TURNING)
     assert cell.somebody(at=at).reason in ("clear", "not closing in")
+
+
+def test_an_arm_that_is_held_back_is_judged_where_it_is_and_not_where_it_would_be_when_a_forecast_begins() -> None:
+    """It was taken to be there, at its full speed, beyond somebody whom it still closed in on: it went on into them."""
+    cell, at = Cell(Timers()), forward_kinematics(MODEL, READY + 0.35 * TURNING)[-1, :3, 3]
+    for _ in range(40):
+        cell.wait(20)
+        cell.path(begins_ms=0, lasts_ms=200, velocity=2 * TURNING)
+        cell.joints(qd=np.zeros(6))
+        told = cell.somebody(at=at, begins_ms=300)
+    assert (told.reason, told.speed_fraction) == ("stopped for MOVING", 0)
+
+
+def test_nor_where_old_joints_would_have_gone_by_its_program() -> None:
+    cell = Cell(Timers())
+    stopped = obeying(cell, READY, 300)
+    cell.joints(stopped, np.zeros(6), ago_ms=-1)
+    cell.wait(350)
+    at = forward_kinematics(MODEL, stopped + 0.1 * TURNING)[-1, :3, 3]
+    cell.somebody(at=at)
+    told = cell.somebody(at=at)
+    assert (told.reason, told.speed_fraction) == ("stopped for MOVING", 0)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
-from twin_node.arm.path import STEP_NS, kept_up, path_ahead, path_from_sample, sample_path
+from twin_node.arm.path import STEP_NS, extrapolate, kept_up, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
 from twin_node.scene import JointPath, JointSample
@@ -47,7 +46,8 @@ class ArmPredictor:
         """Whether the arm has been told to leave its path and stay where it is."""
         self._stray_rad: float | None = None
         self._joints: JointSample | None = None
-        self._measured: JointSample | None = None
+        self._intended = np.zeros(model.joints)
+        """Velocities [J] of its program at full speed, rad/s."""
         self._programmed = ProgrammedVelocity(_LEAST_SHARE)
         self._other: JointSample | None = None
         self._refused: str | None = None
@@ -94,7 +94,7 @@ class ArmPredictor:
         if not set(sample.names) & set(self._model.joint_names):
             self._other = sample
             return
-        before = self._measured
+        before = self._joints
         positions = self._model.order(sample.names, sample.positions)
         velocities = self._model.order(sample.names, sample.velocities)
         passed_ns = 0 if before is None else sample.stamp - before.stamp
@@ -104,8 +104,8 @@ class ArmPredictor:
             velocities = before.velocities
             if passed_ns > 0:
                 velocities = (positions - before.positions) / (passed_ns * 1e-9)
-        self._measured = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
-        self._joints = replace(self._measured, velocities=self._programmed.seen(velocities, share, sample.stamp))
+        self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
+        self._intended = self._programmed.seen(velocities, share, sample.stamp)
 
     def ahead(self, stamp: int, now: int) -> JointPath:
         """The arm's next 200 ms from a time on (ns), as it is known by now (ns).
@@ -124,7 +124,8 @@ class ArmPredictor:
             if abs(age_ms) * 1e6 > self._lasting_ns:
                 when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
                 raise ArmError(f"the arm's joints are {when}")
-            return path_from_sample(self._model, joints, stamp)
+            here = path_from_sample(self._model, joints, stamp).positions[0]  # as fast as it is let go until then
+            return extrapolate(self._model, here, self._intended, stamp)
         if self.refused is not None:
             raise ArmError(self.refused)
         if path is None and self._other is not None:
@@ -150,7 +151,7 @@ class ArmPredictor:
 
         So too where the joints are old, or much older than the path.
         """
-        joints = self._measured
+        joints = self._joints
         if joints is None or abs(now - joints.stamp) > self._lasting_ns or path.stamps[0] - joints.stamp > _LAG_NS:
             return None
         before_s = max(int(path.stamps[0]) - joints.stamp, 0) * 1e-9

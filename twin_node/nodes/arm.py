@@ -194,7 +194,7 @@ class ArmNode(Node):
             _check_frame(message.header.frame_id)
             obstacles = convert.obstacles_from_message(message)
             self._checker.update(obstacles)
-            decision = self._decided(obstacles, max(now, obstacles.begins), now)
+            decision = self._decided(obstacles, now)
         except TwinError as error:
             self._refused = str(error)  # the arm slows and stops by itself; it is to say why
             raise
@@ -202,14 +202,19 @@ class ArmNode(Node):
         self._tell(replace(self._limiter.decide(decision, now), stamp=decision.stamp))
         self._watch(now)
 
-    def _decided(self, obstacles: Obstacles, stamp: int, now: int) -> Separation:
-        """What the law says at a time (ns) that the obstacles are valid from; an arm of which nobody knows stands."""
+    def _decided(self, obstacles: Obstacles, now: int) -> Separation:
+        """What the law says now (ns); an arm of which nobody knows stands.
+
+        In lockstep, of the time that the obstacles are valid from, for the log's arm has gone on at its full speed by
+        then. One that is held back has not: where it would be then may lie beyond somebody whom it still closes in on.
+        """
         reaction_s, driving = self._reaction_s(now), self._driving()
+        stamp, heard = (now, now) if self._is_live else (max(now, obstacles.begins), max(now, obstacles.stamp))
         if (driving is not Driving.NOBODY or self._parameters.driven) and self._arm.is_made_up:
             why = f"an arm is driven, and nobody publishes its {JOINT_STATES} or {TRAJECTORY}"
             return standing(stamp, obstacles.stamp, f"stopped: {why}")
         try:
-            path = self._arm.ahead(stamp, max(now, obstacles.stamp))  # a log may be recorded before its stamps
+            path = self._arm.ahead(stamp, heard)  # a log may be recorded before its stamps
         except ArmError as error:
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
         if self._workspace is not None and not self._arm.is_made_up:
