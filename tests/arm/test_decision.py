@@ -127,6 +127,15 @@ def test_an_arm_that_begins_to_move_reaches_as_far_as_at_its_fastest(ur5e_checke
     assert decide(ur5e_checker, speeding_up(1.0), NOW, REACTION_S).reason == "slow for MOVING"
 
 
+def test_a_fast_arm_stops_for_what_it_would_touch_and_be_past_within_50_ms(ur5e_checker: ArmCollisionChecker) -> None:
+    """Its distance was looked at every 50 ms: at the next look a fast arm had left what it had grazed in between."""
+    outwards = forward_kinematics(ur5e_checker.model, READY + 0.07 * TURNING)[-1, :3, 3] * [1, 1, 0]
+    grazed = forward_kinematics(ur5e_checker.model, READY + 0.07 * TURNING)[-1, :3, 3]
+    grazed = grazed + outwards / np.linalg.norm(outwards) * 0.088
+    ball = Thing(tuple(grazed), size=(0.1,) * 3, kind=ObstacleKind.STATIC)
+    assert decided(ur5e_checker, ball, velocity=3 * TURNING).reason == "stopped for STATIC"
+
+
 def test_an_arm_that_leaves_stands_for_what_may_touch_it(ur5e_checker: ArmCollisionChecker) -> None:
     for velocity in (-TURNING, 0.05 * -TURNING):
         overtaken = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.06), velocity=velocity)

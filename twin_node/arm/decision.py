@@ -15,7 +15,10 @@ from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, ObstacleKind, Separation
 
 _POSES = 5
-"""Poses along the next 200 ms from which closing speeds are taken: the forecast's own horizons."""
+"""Poses along the next 200 ms from which closing speeds are taken, at least: the forecast's own horizons."""
+_STRIDE_M = 0.05
+"""No point of the arm goes farther from one of these poses to the next, m, where the path is told so finely: what it
+passes between them is nearer than at both by some 7 mm at most, as deep as an arc of a wrist's radius bends so far."""
 
 
 def decide(
@@ -48,8 +51,11 @@ def decide(
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     motion = ArmMotion(stamp, reaction_s, _fastest(positions, seconds), stopping)
     closest = checker.closest(positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as they are last
-    picked = np.unique(np.linspace(0, len(seconds) - 1, _POSES).round().astype(np.int64))
-    pairs = checker.approaches(positions[picked], _reach(checker, positions, seconds, found, motion, law))
+    steps = _steps(checker, positions)
+    poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
+    picked = np.unique(np.linspace(0, len(seconds) - 1, poses).round().astype(np.int64))
+    fastest = float((steps / np.diff(seconds)).max(initial=0.0))
+    pairs = checker.approaches(positions[picked], _reach(found, motion, law, fastest))
     closing = _closing(pairs, seconds[picked])
     encounter = Encounter(found, pairs.capsules, pairs.obstacles, pairs.distances[0], closing, motion, law)
     return _settle(checker, closest, pairs, encounter)
@@ -135,21 +141,19 @@ def _closing(pairs: Approaches, seconds: Float64) -> Float64:
     return np.maximum(closing, 0.0)
 
 
-def _reach(
-    checker: ArmCollisionChecker,
-    positions: Float64,
-    seconds: Float64,
-    found: Hazards,
-    motion: ArmMotion,
-    law: SeparationParameters,
-) -> Float64:
+def _steps(checker: ArmCollisionChecker, positions: Float64) -> Float64:
+    """How far [T - 1] the point of the arm that goes farthest comes from each pose to the next, m."""
+    ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
+    steps: Float64 = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=(1, 2))
+    return steps
+
+
+def _reach(found: Hazards, motion: ArmMotion, law: SeparationParameters, fastest: float) -> Float64:
     """Distance [n] (m) within which an obstacle can matter now: the law at full speed for the arm's fastest point.
 
-    Negative for obstacles that come after the arm would have stopped, and for those that do not count.
+    `fastest` is that point's speed, m/s. Negative for obstacles that come after the arm would have stopped, and for
+    those that do not count.
     """
-    ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
-    steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=(1, 2))
-    fastest = float((steps / np.diff(seconds)).max(initial=0.0))
     rows = np.arange(len(found.counts))
     nothing = np.zeros(len(rows))
     bound = Encounter(found, rows, rows, nothing, np.full(len(rows), fastest), motion, law)
