@@ -46,12 +46,30 @@ def test_a_close_forecast_that_is_clear_is_proof_enough(ur5e_checker: ArmCollisi
     assert decided_since(ur5e_checker, leaves, was_near).speed_fraction == 1.0
 
 
-def test_the_second_proof_holds_for_an_arm_that_leaves(ur5e_checker: ArmCollisionChecker) -> None:
+def test_the_second_proof_holds_for_an_arm_that_leaves_until_it_stands(ur5e_checker: ArmCollisionChecker) -> None:
+    """It was asked where somebody can be by now: who came from aside was forecast in the arm, which then went on."""
     overtakes = beside_the_tool(ur5e_checker, 0.06)
-    gone_since_m = 1.6 * 0.15 + 0.035  # what touches counts from the plain clearance and the arm's own error on
-    for left_m, share in ((gone_since_m - 0.03, 0.0), (gone_since_m + 0.1, 1.0)):
+    touch_m, stop_s = 0.035, stopping_table("ur5e").stop(TURNING).duration_s
+
+    def share(left_m: float) -> float:
         seen = beside_the_tool(ur5e_checker, left_m, valid_ms=SEEN)
-        assert decided_since(ur5e_checker, overtakes, seen, velocity=-TURNING).speed_fraction == share
+        return decided_since(ur5e_checker, overtakes, seen, velocity=-TURNING).speed_fraction
+
+    at_rest_m = 1.6 * (0.15 + REACTION_S) + touch_m
+    assert share(at_rest_m - 0.03) == 0.0
+    assert 0.0 < share(at_rest_m + 0.8 * stop_s) < 1.0
+    assert share(at_rest_m + 1.6 * stop_s + 0.1) == 1.0
+
+
+def test_who_overtakes_an_arm_and_turns_in_before_it_is_not_proven_to_be_behind(ur5e_checker: ArmCollisionChecker) -> None:
+    """The arm leaves where a hand was seen, so that proved enough: it went on at full speed into who was forecast."""
+    turns_in = beside_the_tool(ur5e_checker, 0.1)
+    was_behind = beside_the_tool(ur5e_checker, -0.5, valid_ms=SEEN)
+    assert decided_since(ur5e_checker, was_behind).speed_fraction == 1.0
+    both = decided_since(ur5e_checker, turns_in, was_behind)
+    assert (both.speed_fraction, both.reason) == (0.0, "stopped for MOVING")
+    was_far_behind = beside_the_tool(ur5e_checker, -1.5, valid_ms=SEEN)
+    assert decided_since(ur5e_checker, turns_in, was_far_behind).speed_fraction == 1.0
 
 
 @given(

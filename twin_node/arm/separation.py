@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,19 +255,16 @@ class Encounter:
 
         Minus infinity for obstacles that come after the arm would have stopped, and for pairs that the arm does not
         close, unless something that moves may touch it: whoever overtakes an arm that leaves is to find it standing.
+        A forecast tells where that is until then; what was seen may have come from there until the arm stands.
         """
         stop = self.motion.stop(share)
-        in_time = self.hazards.valid_from[self.rows] <= self.motion.standstill(stop)
+        standstill = self.motion.standstill(stop)
         terms = self._terms(share, stop)
-        touching = self.hazards.moves[self.rows] & (self.distances < self._within_touch + self._gone_since_seen)
-        concerned = ((self.closing > self.parameters.closing_speed) | touching) & in_time
+        touches = self._within_touch + np.where(self.hazards.as_seen, self.hazards.gone(standstill), 0.0)[self.rows]
+        touching = self.hazards.moves[self.rows] & (self.distances < touches)
+        closes = self.closing > self.parameters.closing_speed
+        concerned = (closes | touching) & (self.hazards.valid_from[self.rows] <= standstill)
         return np.where(concerned, terms.required - self.distances, -np.inf)
-
-    @cached_property
-    def _gone_since_seen(self) -> Float64:
-        """How far [p] what was seen may have gone by now, m; 0 for forecasts, which say where things are by now."""
-        as_seen = self.hazards.as_seen[self.rows]
-        return np.where(as_seen, self.hazards.gone(self.motion.stamp)[self.rows], 0.0)
 
     @property
     def _within_touch(self) -> float:
