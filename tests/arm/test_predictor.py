@@ -98,6 +98,21 @@ def test_joints_from_before_the_path_begins_go_on_at_the_speed_that_was_measured
     assert found.stray_rad is None
 
 
+def test_joints_that_are_told_within_half_a_turn_neither_jump_nor_leave_their_path() -> None:
+    """A wrist that passed half a turn was taken to turn back at its rating, and to be a whole turn off its path."""
+    wrist = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    before, after = READY + (np.pi - 0.01) * wrist, READY + (0.01 - np.pi) * wrist
+    found = predictor(planned(velocity=wrist))
+    for at, when_ms in ((before, 3132), (after, 3152)):
+        found.take_joints(joints(at, 0 * wrist, when_ms), has_velocities=False)
+        assert pose_at(found, when_ms)[5] == pytest.approx(when_ms * 1e-3, abs=1e-6)
+    assert found.stray_rad is None
+    found.leave_path()
+    stamp = NOW + 3152 * MS
+    ahead = found.ahead(stamp, stamp).positions[:, 5]
+    np.testing.assert_allclose(ahead - after[5], np.linspace(0, 0.2, 21), atol=1e-6)
+
+
 def test_a_path_may_name_its_joints_in_any_order() -> None:
     path = planned()
     turned = JointPath(path.names[::-1], path.stamps, path.positions[:, ::-1])

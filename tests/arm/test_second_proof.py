@@ -61,7 +61,7 @@ def test_the_second_proof_holds_for_an_arm_that_leaves_until_it_stands(ur5e_chec
     assert share(at_rest_m + 1.6 * stop_s + 0.1) == 1.0
 
 
-def test_who_overtakes_an_arm_and_turns_in_before_it_is_not_proven_to_be_behind(ur5e_checker: ArmCollisionChecker) -> None:
+def test_who_overtakes_an_arm_and_turns_in_before_it_is_not_behind_it(ur5e_checker: ArmCollisionChecker) -> None:
     """The arm leaves where a hand was seen, so that proved enough: it went on at full speed into who was forecast."""
     turns_in = beside_the_tool(ur5e_checker, 0.1)
     was_behind = beside_the_tool(ur5e_checker, -0.5, valid_ms=SEEN)

@@ -11,7 +11,7 @@ from twin_node.arm.errors import ArmError
 from twin_node.arm.path import STEP_NS, extrapolate, kept_up, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel
-from twin_node.scene import JointPath, JointSample
+from twin_node.scene import Float64, JointPath, JointSample
 
 _LEAST_SHARE = 0.05
 """Below this share of its speed what is measured of an arm is not told from noise: that would count twenty times."""
@@ -103,7 +103,7 @@ class ArmPredictor:
         if not has_velocities and before is not None:
             velocities = before.velocities
             if passed_ns > 0:
-                velocities = (positions - before.positions) / (passed_ns * 1e-9)
+                velocities = _turned(before.positions, positions) / (passed_ns * 1e-9)
         self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
         self._intended = self._programmed.seen(velocities, share, sample.stamp)
 
@@ -156,8 +156,16 @@ class ArmPredictor:
             return None
         before_s = max(int(path.stamps[0]) - joints.stamp, 0) * 1e-9
         q = joints.positions + before_s * joints.velocities
-        away = np.abs(sample_path(path, max(joints.stamp, int(path.stamps[0])) + _LAGS_NS) - q).max(axis=1).min()
+        told = sample_path(path, max(joints.stamp, int(path.stamps[0])) + _LAGS_NS)
+        away = np.abs(_turned(told, q)).max(axis=1).min()
         return float(away) if away > _STRAY_RAD else None
+
+
+def _turned(start: Float64, end: Float64) -> Float64:
+    """How far [..., J] joints turn from pose to pose the short way, rad: some drivers wrap angles at half a turn."""
+    turn = end - start
+    short: Float64 = turn - 2 * np.pi * np.round(turn / (2 * np.pi))
+    return short
 
 
 def _gone_on(model: ArmModel, path: JointPath) -> JointPath:
