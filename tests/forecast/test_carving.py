@@ -10,7 +10,7 @@ import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, WORKSPACE, ball_depth, ball_voxels, camera, pixels_of, state_of
 from numpy.typing import NDArray
 
-from twin_node.forecast.carving import Carver
+from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.tables import RigTables
@@ -342,7 +342,8 @@ def test_a_camera_without_depth_frees_its_rays_up_to_what_is_known_to_stand() ->
     step = 0.3 * away / np.linalg.norm(away)
     before, behind = (GRID.indices(np.array([[0.0, 0.0, 0.45]]) + way) for way in (step, -step))
     assert not carver.carve(state, 0.0).unknown.holds(np.concatenate([before, behind])).any()
-    unknown = carver.carve(state, 0.0, wall).unknown
+    unknown = carver.carve(state, 0.0, Opaque(wall)).unknown
     assert not unknown.holds(before).any() and unknown.holds(behind).all()
     assert carver.carve(state, 0.0).unknown.holds(behind).all(), "as for the state before"
-    assert not carver.carve(state, 0.0, wall[:0]).unknown.holds(behind).any()
+    assert not carver.carve(state, 0.0, Opaque(wall[:0])).unknown.holds(behind).any()
+    assert not carver.carve(state, 0.0, Opaque(wall, 0.5)).unknown.holds(behind).any(), "it may lie behind that"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, HEIGHT, WIDTH, camera, floor_depth, state_of
+from forecast_worlds import GRID, HEIGHT, WIDTH, camera, empty_cloud, floor_depth, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,7 @@ from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
 from twin_node.forecast.tables import RigTables
-from twin_node.scene import Float32, Grid, TwinState, View
+from twin_node.scene import Float32, Grid, Tier, TwinState, View
 
 CAMERA = camera("cam", np.array([1.3, 0.7, 1.0]))
 
@@ -47,6 +47,29 @@ def test_the_floor_is_marked_where_it_is_asked_for() -> None:
     mark(grid, marked, view(floor_depth(CAMERA)), ~where)
     assert set(np.unravel_index(np.flatnonzero(marked), grid.dims)[2].tolist()) == {0}
     assert marked.reshape(grid.dims)[10:30, 10:30, 0].mean() > 0.9
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(with_depth: bool) -> None:
+    standing = replace(
+        empty_cloud(),
+        means=np.array([[0.0, 0.0, 0.3]], np.float32),
+        quats=np.array([[1, 0, 0, 0]], np.float32),
+        scales=np.full((1, 3), 0.01, np.float32),
+        opacities=np.ones(1, np.float32),
+        rgb=np.ones((1, 3), np.float32),
+        velocities=np.zeros((1, 3), np.float32),
+        tiers=np.array([Tier.STATIC], np.uint8),
+        ids=np.zeros(1, np.uint32),
+        nodes=np.full(1, -1, np.int32),
+    )
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    state = replace(state_of(0, None, with_depth=with_depth), gaussians=standing)
+    carver.carve(state, 0.0)
+    space.update(state, carver)
+    place = GRID.indices(standing.means.astype(np.float64))
+    assert np.isin(place, space.opaque.indices).all() != with_depth
+    assert (space.opaque.error_m > 0) != with_depth
 
 
 def noisy(state: TwinState, rng: np.random.Generator, sigma_m: float) -> TwinState:

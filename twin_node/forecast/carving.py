@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,16 @@ _MOST_SIGMA_M = 1.0
 """As in rig files: whoever errs by more shows nothing."""
 
 
+@dataclass(frozen=True)
+class Opaque:
+    """What stands, and cameras that measure no depth do not see past."""
+
+    indices: NDArray[np.int64]
+    """[n] flat voxel indices."""
+    error_m: float = 0.0
+    """How far behind these it may truly lie, m."""
+
+
 class Carver:
     """Carves one grid with the views of a rig; what depends on the calibration alone is computed once per camera."""
 
@@ -29,12 +41,11 @@ class Carver:
         self._fronts = _Fronts(self._blocks)
         self._last: tuple[TwinState, list[Sight]] | None = None
 
-    def carve(self, state: TwinState, speed: float, stands: NDArray[np.int64] | None = None) -> Carved:
+    def carve(self, state: TwinState, speed: float, opaque: Opaque | None = None) -> Carved:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
-        `stands` [n]: flat indices of what some camera measured to stand, which cameras without depth do not see past;
-        None: as for the state before. States come in rising order of stamps: what each depth camera saw behind moving
-        things before is remembered.
+        `opaque`: None: as for the state before. States come in rising order of stamps: what each depth camera saw
+        behind moving things before is remembered.
         Raises `ForecastError` for images or masks that are not of their camera's size, and for a camera whose
         calibration error cannot be.
         """
@@ -42,8 +53,8 @@ class Carver:
             if misfit := view.misfit(moving=moving, robot=robot):
                 raise ForecastError(f"state of {state.stamp} ns: {misfit}")
         self._backdrops.update(state)
-        if stands is not None:
-            self._fronts.update(stands)
+        if opaque is not None:
+            self._fronts.update(opaque)
         sights = self._sights(state, speed)
         self._last = (state, sights)
         return carved(self._blocks, sights)
@@ -102,17 +113,18 @@ class _Fronts:
 
     def __init__(self, blocks: Blocks) -> None:
         self._blocks = blocks
-        self._stands = np.zeros(0, np.int64)
+        self._opaque = Opaque(np.zeros(0, np.int64))
         self._drawn: dict[str, tuple[CameraTable, Float32]] = {}
 
-    def update(self, stands: NDArray[np.int64]) -> None:
-        """Takes in what stands: flat voxel indices [n]."""
-        if stands is not self._stands:
-            self._stands, self._drawn = stands, {}
+    def update(self, opaque: Opaque) -> None:
+        """Takes in what stands now."""
+        if opaque is not self._opaque:
+            self._opaque, self._drawn = opaque, {}
 
     def of(self, table: CameraTable) -> Float32:
         """[H, W] m, of a camera."""
         known = self._drawn.get(table.camera.name)
         if known is None or known[0] is not table:
-            known = self._drawn[table.camera.name] = (table, table.fronts_of(self._blocks.locate(self._stands)))
+            fronts = table.fronts_of(self._blocks.locate(self._opaque.indices)) + np.float32(self._opaque.error_m)
+            known = self._drawn[table.camera.name] = (table, fronts)
         return known[1]

@@ -150,7 +150,7 @@ class Observer:
         if self._standing is None:
             self._carver.carve(state, 0.0)
             self._standing = _Standing.of(self._static.update(state, self._carver), self.margin)
-        return self._carver.carve(state, self._speed(), self._static.measured)
+        return self._carver.carve(state, self._speed(), self._static.opaque)
 
     def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Unseen]:
         """What there may be in the inner grid's `unknown` space; states are followed one after the other."""

@@ -10,13 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.carving import Carver
+from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import MarkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.native_library import addresses_of
 from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
 from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
+
+GUESSED_M = 0.13
+"""How far behind a Gaussian what it stands for may lie where no camera measures, m: places are guesses there."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,9 @@ class StaticSpace:
         self.grid = grid
         self.parameters = parameters or StaticParameters()
         self._surfaces = np.zeros(grid.size, np.bool_)
-        self.measured = np.zeros(0, np.int64)
-        """[n] flat indices of what some camera has measured of it: the same array until it is refreshed."""
+        self.opaque = Opaque(np.zeros(0, np.int64))
+        """What cameras without depth do not see past, the same until it is refreshed: what some camera has measured, or
+        where none measures, what the Gaussians fill."""
         self._layer = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
         self._made_at: int | None = None
         self._turn = 0
@@ -54,9 +58,11 @@ class StaticSpace:
             self._made_at = state.stamp
             self._turn += 1
             self._remember_surfaces(state, carver, chosen)
-            self.measured = np.flatnonzero(self._surfaces)
+            filled = self._gaussian_voxels(state)
+            measures = any(view.depth is not None for view in state.frames.views) or self._surfaces.any()
+            self.opaque = Opaque(np.flatnonzero(self._surfaces)) if measures else Opaque(np.unique(filled), GUESSED_M)
             occupied = self._surfaces.copy()
-            occupied[self._gaussian_voxels(state)] = True
+            occupied[filled] = True
             indices = np.flatnonzero(occupied).astype(np.uint32)
             self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
         return self._layer
