@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +73,17 @@ def test_a_resumed_run_takes_the_missing_steps(checkpoint: Path, cell_log: Calla
     assert load_checkpoint(out).header.step == load_checkpoint(checkpoint).header.step + 2
 
 
+@pytest.fixture
+def heeds_hangup() -> Iterator[None]:
+    """SIGHUP is not ignored, as it is where the tests are run by nohup."""
+    before = signal.getsignal(signal.SIGHUP)
+    if before == signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("heeds_hangup")
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_an_interrupted_run_goes_on_as_if_it_had_not_been(
     number: int,
