@@ -112,9 +112,14 @@ def replaced(one: Point, db: float) -> Point:
 def test_sizes_rise_in_everything() -> None:
     sizes = list(SIZES.values())
     for smaller, larger in itertools.pairwise(sizes):
-        pairs = zip(dataclasses.astuple(smaller), dataclasses.astuple(larger), strict=True)
-        assert all(a <= b for a, b in pairs)
-        assert smaller != larger
+        *costs_less, share = dataclasses.astuple(smaller)
+        *costs_more, of_more = dataclasses.astuple(larger)
+        assert all(a <= b for a, b in zip(costs_less, costs_more, strict=True))
+        assert costs_less != costs_more
+        assert (
+            share * smaller.gaussians_per_pixel * smaller.width**2
+            < of_more * larger.gaussians_per_pixel * larger.width**2
+        )
 
 
 @pytest.fixture(scope="module")

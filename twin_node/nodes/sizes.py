@@ -24,6 +24,9 @@ class Size:
     """Gradient steps per set on what moves."""
     births: int
     """Gaussians born per set at most."""
+    moving_share: float
+    """Share of the Gaussians that may move: the fewer there are in all, the larger. With the share of `large`, `small` has
+    two decibels less of what moves."""
 
     def model(self, base: ModelParameters) -> ModelParameters:
         """The parameters of a model of this size; what a size does not say stays as it is in `base`."""
@@ -32,24 +35,25 @@ class Size:
             gaussians_per_pixel=self.gaussians_per_pixel,
             most_gaussians=self.most_gaussians,
             track=replace(base.track, steps=self.steps),
-            birth=replace(base.birth, per_set=self.births),
+            birth=replace(base.birth, per_set=self.births, moving_share=self.moving_share),
         )
 
 
 _DEFAULT = ModelParameters()
 
 SIZES: Mapping[str, Size] = {
-    "tiny": Size(64, 0.1, 2_000, 1, 40),
-    "small": Size(96, 0.2, 6_000, 2, 80),
-    "medium": Size(128, 0.3, 12_000, 3, 140),
+    "tiny": Size(64, 0.1, 2_000, 1, 40, 0.15),
+    "small": Size(96, 0.2, 6_000, 2, 80, 0.15),
+    "medium": Size(128, 0.3, 12_000, 3, 140, 0.12),
     "large": Size(
         DEFAULT_WIDTH,
         _DEFAULT.gaussians_per_pixel,
         _DEFAULT.most_gaussians,
         _DEFAULT.track.steps,
         _DEFAULT.birth.per_set,
+        _DEFAULT.birth.moving_share,
     ),
-    "full": Size(240, 0.5, 48_000, 12, 400),
+    "full": Size(240, 0.5, 48_000, 12, 400, _DEFAULT.birth.moving_share),
 }
 """`large` is what ships; `launch/sizes.yaml` tells what each takes and reaches."""
 SHIPPED = "large"
