@@ -25,8 +25,10 @@ class Size:
     births: int
     """Gaussians born per set at most."""
     moving_share: float
-    """Share of the Gaussians that may move: the fewer there are in all, the larger. With the share of `large`, `small` has
-    two decibels less of what moves."""
+    """Share of the Gaussians that may move: the fewer there are in all, the larger.
+
+    With the share of `large`, `small` has two decibels less of what moves.
+    """
 
     def model(self, base: ModelParameters) -> ModelParameters:
         """The parameters of a model of this size; what a size does not say stays as it is in `base`."""
@@ -44,7 +46,7 @@ _DEFAULT = ModelParameters()
 SIZES: Mapping[str, Size] = {
     "tiny": Size(64, 0.1, 2_000, 1, 40, 0.15),
     "small": Size(96, 0.2, 6_000, 2, 80, 0.15),
-    "medium": Size(128, 0.3, 12_000, 3, 140, 0.12),
+    "medium": Size(128, 0.3, 12_000, 3, 140, 0.09),
     "large": Size(
         DEFAULT_WIDTH,
         _DEFAULT.gaussians_per_pixel,
