@@ -14,6 +14,7 @@ from twin_node.model.motion import Motion
 from twin_node.model.node_requests import ExtentRequest, PublishRequest
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.past import Moment
+from twin_node.model.rendering import Splats
 from twin_node.model.rotations import rotate
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import GaussianCloud, NodeStates
@@ -61,17 +62,8 @@ def cloud_reference(gaussians: Gaussians, motion: Motion, rows: Tensor) -> Gauss
         arm = means[carried].double() - nodes.positions[row]
         turned = torch.linalg.cross(nodes.angular_velocities[row], arm)
         velocities[carried] = (nodes.velocities[row] + turned).float()
-    return GaussianCloud(
-        means.numpy(),
-        torch.nn.functional.normalize(splats.quats[0].cpu(), dim=-1).numpy(),
-        splats.scales.cpu().numpy(),
-        splats.opacities.cpu().numpy(),
-        splats.rgb.clamp(0, 1).cpu().numpy(),
-        velocities.numpy(),
-        gaussians.tiers[rows].cpu().numpy(),
-        gaussians.ids[rows].cpu().numpy().astype(np.uint32),
-        torch.where(carrier >= 0, _published(nodes)[carrier], -1).numpy().astype(np.int32),
-    )
+    carriers = torch.where(carrier >= 0, _published(nodes)[carrier], -1)
+    return _told(splats, velocities, gaussians.tiers[rows], gaussians.ids[rows], carriers)
 
 
 VELOCITY_NS = 10_000_000
@@ -85,17 +77,22 @@ def cloud_at(moment: Moment, motion: Motion) -> GaussianCloud:
     with torch.no_grad():
         splats = motion.place_population(population, moment.poses, [moment.stamp])
         earlier = motion.place_population(population, before, [moment.stamp - VELOCITY_NS])
-    means, count = splats.means[0].cpu(), len(population.tiers)
+    velocities = (splats.means[0] - earlier.means[0]) / (VELOCITY_NS * 1e-9)
+    return _told(splats, velocities, population.tiers, moment.ids, torch.full_like(moment.ids, -1))
+
+
+def _told(splats: Splats, velocities: Tensor, tiers: Tensor, ids: Tensor, nodes: Tensor) -> GaussianCloud:
+    """Gaussians [n] that are placed at one time, as others read them."""
     return GaussianCloud(
-        means.numpy(),
+        splats.means[0].cpu().numpy(),
         torch.nn.functional.normalize(splats.quats[0].cpu(), dim=-1).numpy(),
         splats.scales.cpu().numpy(),
         splats.opacities.cpu().numpy(),
         splats.rgb.clamp(0, 1).cpu().numpy(),
-        ((means - earlier.means[0].cpu()) / (VELOCITY_NS * 1e-9)).numpy(),
-        population.tiers.cpu().numpy(),
-        moment.ids.cpu().numpy().astype(np.uint32),
-        np.full(count, -1, np.int32),
+        velocities.cpu().numpy(),
+        tiers.cpu().numpy(),
+        ids.cpu().numpy().astype(np.uint32),
+        nodes.cpu().numpy().astype(np.int32),
     )
 
 

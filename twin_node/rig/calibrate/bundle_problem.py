@@ -12,10 +12,11 @@ from scipy.sparse import csr_array
 
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
-from twin_node.rig.calibrate.course import ACCELERATION, TURN_ACCELERATION, Blend, Placed
+from twin_node.rig.calibrate.course import Blend, Placed
+from twin_node.rig.calibrate.course_prior import add_smoothness, roughness
 from twin_node.rig.calibrate.lenses import project
 from twin_node.rig.calibrate.normal_equations import NOWHERE, NormalEquations
-from twin_node.rig.calibrate.rotations import cross_matrix, moved, quat_product
+from twin_node.rig.calibrate.rotations import cross_matrix, moved
 from twin_node.scene import Bool, Float64
 
 BOARD_TOLERANCE = 0.01
@@ -164,7 +165,7 @@ class BundleProblem:
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
         clocks += float(((state.readouts / READOUT_SIGMA_S) ** 2).sum())
         clocks += float(((state.delays / np.maximum(self.jitter, LEAST_JITTER_S)[self.camera]) ** 2).sum())
-        return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((self._roughness(state) ** 2).sum()))
+        return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((roughness(state.course) ** 2).sum()))
 
     def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> BundleEquations:
         """The equations about a state."""
@@ -177,7 +178,7 @@ class BundleProblem:
             views = np.flatnonzero(self.camera == camera)
             views = views[np.argsort(blend.controls[views, 0], kind="stable")]
             late += self._add_camera(equations, state, look, weights, views, blend.controls[views])
-        self._add_smoothness(equations, state)
+        add_smoothness(equations, state.course)
         self._add_priors(equations, state)
         return BundleEquations(equations, tuple(late), len(self.camera))
 
@@ -350,36 +351,6 @@ class BundleProblem:
         out[:, :6, 7] = placed.speeds[views] * (self._times[views] - state.reference_s)[:, None]
         out[:, motions:, 8:] = np.eye(columns - motions)
         return out
-
-    def _roughness(self, state: BundleState) -> Float64:
-        """[B, 7] second differences of the course's control quaternions and positions, in sigmas."""
-        course = state.course
-        middle, scale = course.bends, self._smoothness(state)
-        values = np.concatenate([course.quats, course.positions], axis=1)
-        return np.asarray((values[middle - 1] - 2 * values[middle] + values[middle + 1]) * scale)
-
-    def _smoothness(self, state: BundleState) -> Float64:
-        """[B, 7] what a second difference is multiplied with to be counted in sigmas."""
-        sigmas = np.array([TURN_ACCELERATION / 2] * 4 + [ACCELERATION] * 3)
-        return np.asarray(1 / (state.course.steps()[:, None] ** 2 * sigmas))
-
-    def _add_smoothness(self, equations: NormalEquations, state: BundleState) -> None:
-        course, middle, scale = state.course, state.course.bends, self._smoothness(state)
-        if not len(middle):
-            return
-        by_neighbour = np.zeros((len(middle), 7, 3, 6))
-        for place, share in enumerate((1.0, -2.0, 1.0)):
-            quats = course.quats[middle + place - 1]
-            for axis in range(3):
-                turn = np.zeros(4)
-                turn[1 + axis] = 0.5
-                by_neighbour[:, :4, place, axis] = share * quat_product(quats, np.broadcast_to(turn, quats.shape))
-            by_neighbour[:, 4:, place, 3:] = share * np.eye(3)
-        J = (by_neighbour * scale[:, :, None, None]).reshape(len(middle), 7, 18)
-        columns = 6 * (middle[:, None, None] + np.arange(-1, 2)[:, None]) + np.arange(6)
-        turned = J.swapaxes(1, 2)
-        slopes = -(turned @ self._roughness(state)[..., None])[..., 0]
-        equations.add_inner(columns.reshape(len(middle), 18), turned @ J, slopes)
 
     def _add_priors(self, equations: NormalEquations, state: BundleState) -> None:
         layout = self.layout
