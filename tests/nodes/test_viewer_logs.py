@@ -17,10 +17,12 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
 from twin_node.messages import convert
+from twin_node.nodes.cloud_updates import CloudUpdates
 from twin_node.nodes.overlays import moving_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import (
     GAUSSIANS,
+    GAUSSIANS_CHANGED,
     GAUSSIANS_MOVING,
     JOINT_STATES,
     OBSTACLES,
@@ -234,6 +236,25 @@ def test_what_began_to_move_stands_again_when_time_goes_back(page: CellPage, tmp
     assert len(shown(page, tmp_path / "a.mcap", seconds=0.3)("/gaussians/static").centers) == 35
     find = shown(page, tmp_path / "a.mcap", seconds=0.1)
     assert len(find("/gaussians/static").centers) == 40 and len(find("/gaussians/moving").centers) == 10
+
+
+def test_what_comes_to_rest_is_shown_and_what_is_gone_is_not(page: CellPage, tmp_path: Path) -> None:
+    """Before the next whole cloud five of what moved rest, and five of what stood are gone."""
+    cloud = cloud_at(0, True)
+    moving = np.flatnonzero(cloud.tiers > 0)
+    tiers, alive = cloud.tiers.copy(), np.ones(50, np.bool_)
+    tiers[moving[:5]] = 0
+    alive[np.flatnonzero(cloud.tiers == 0)[:5]] = False
+    updates = CloudUpdates()
+    updates.whole(cloud)
+    stamp = START + 3 * PERIOD
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, START), START)
+        now = replace(cloud, tiers=tiers).only(alive)
+        log.write(GAUSSIANS_CHANGED, convert.gaussians_to_pointcloud2(updates.changed(now), stamp), stamp)
+        log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(now.only(now.tiers > 0), stamp), stamp)
+    find = shown(page, tmp_path / "a.mcap", seconds=0.3)
+    assert len(find("/gaussians/static").centers) == 40 and len(find("/gaussians/moving").centers) == 5
 
 
 def test_two_hundred_thousand_gaussians_are_shown(page: CellPage, tmp_path: Path) -> None:

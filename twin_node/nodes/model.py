@@ -9,8 +9,9 @@ from twin_node.model import WindowModel
 from twin_node.model.first_light import FirstLight
 from twin_node.model.model_process import ModelProcess
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
+from twin_node.nodes.cloud_updates import CloudUpdates
 from twin_node.nodes.sizing import Trial
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
 from twin_node.rig import Narrower
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -20,7 +21,8 @@ from twin_node.runtime.worker_process import is_worth_it
 from twin_node.scene import FrameSet, Tier, TwinState
 
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
-"""The whole cloud goes out latched at 1 Hz; what moves goes out with every set that the model follows."""
+"""The whole cloud goes out latched at 1 Hz; what has changed since, and what moves, with every set that the model
+follows."""
 MOST_LET_BE = 1
 """Sets in a row that are looked at and not followed where the next one waits already: to follow takes as long as all
 else, and the arm is told of people so much more often."""
@@ -70,6 +72,7 @@ class ModelNode(Node):
         self._let_be = 0
         """Sets in a row that were looked at and not followed."""
         self._next_whole = 0
+        self._clouds = CloudUpdates()
         self._is_first = True
 
     @property
@@ -134,7 +137,9 @@ class ModelNode(Node):
     def _publish(self, state: TwinState) -> None:
         """Sends out what the model has followed."""
         self.followed += 1
-        moving = state.gaussians.only(state.gaussians.tiers != Tier.STATIC)
+        cloud = state.gaussians
+        changed, moving = self._clouds.changed(cloud), cloud.only(cloud.tiers != Tier.STATIC)
+        self.bus.publish(GAUSSIANS_CHANGED, convert.gaussians_to_pointcloud2(changed, state.stamp))
         self.bus.publish(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, state.stamp))
         self.bus.publish(STATE, state)
         if self._is_first:
@@ -143,7 +148,8 @@ class ModelNode(Node):
             gc.freeze()  # what is there now lives as long as this node: to go through it again costs tens of ms
         if state.stamp >= self._next_whole:
             self._next_whole = state.stamp + WHOLE_CLOUD_PERIOD_NS
-            self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(state.gaussians, state.stamp))
+            self._clouds.whole(cloud)
+            self.bus.publish(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, state.stamp))
 
     def _left_s(self, frames: FrameSet) -> LeftS:
         """Says how long a set has until it is older than wished for."""

@@ -10,8 +10,10 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from twin_node.messages import Message, convert, header_stamp
+from twin_node.nodes.cloud_updates import updated
 from twin_node.nodes.topics import (
     GAUSSIANS,
+    GAUSSIANS_CHANGED,
     GAUSSIANS_MOVING,
     JOINT_STATES,
     OBSTACLES,
@@ -22,7 +24,7 @@ from twin_node.nodes.topics import (
     CameraTopics,
 )
 from twin_node.rig import DecodedImage, FrameAssembler
-from twin_node.scene import FrameSet, GaussianCloud, JointPath, JointSample, Obstacles, Occupancy, Separation, Tier
+from twin_node.scene import FrameSet, GaussianCloud, JointPath, JointSample, Obstacles, Occupancy, Separation
 
 SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
@@ -81,17 +83,23 @@ class Snapshot:
 
     @cached_property
     def cloud(self) -> GaussianCloud | None:
-        """All Gaussians: those that stand from the last whole cloud, those that move from the newest."""
+        """All Gaussians: the last whole cloud, what has changed since, and what moves."""
         whole, moving = self.said.get(GAUSSIANS), self.said.get(GAUSSIANS_MOVING)
-        clouds = [convert.gaussians_from_pointcloud2(said.message) for said in (whole, moving) if said is not None]
-        if whole is None or moving is None or header_stamp(moving.message) <= header_stamp(whole.message):
-            return clouds[0] if clouds else None
-        standing, moved = clouds
-        return standing.only((standing.tiers == Tier.STATIC) & ~np.isin(standing.ids, moved.ids)).joined(moved)
+        if whole is None:
+            return None if moving is None else convert.gaussians_from_pointcloud2(moving.message)
+        since = header_stamp(whole.message)
+
+        def later(said: Said | None) -> GaussianCloud | None:
+            if said is None or header_stamp(said.message) <= since:
+                return None
+            return convert.gaussians_from_pointcloud2(said.message)
+
+        of_all = convert.gaussians_from_pointcloud2(whole.message)
+        return updated(of_all, later(self.said.get(GAUSSIANS_CHANGED)), later(moving))
 
     @cached_property
     def whole_stamp(self) -> int | None:
-        """Evidence stamp of the last whole cloud, ns: while it stays no STATIC Gaussians come, though some may move."""
+        """Evidence stamp of the last whole cloud, ns."""
         said = self.said.get(GAUSSIANS)
         return None if said is None else header_stamp(said.message)
 

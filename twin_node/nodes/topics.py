@@ -24,12 +24,15 @@ FORECAST = "/twin/forecast"
 """`nodes.forecast.Forecast`, inside a process only."""
 GAUSSIANS = "/twin/gaussians"
 GAUSSIANS_MOVING = "/twin/gaussians/moving"
+GAUSSIANS_CHANGED = "/twin/gaussians/changed"
+"""What stands other than in the last whole cloud; goes out before what moves, so that nothing that comes to rest is in
+neither."""
 OCCUPANCY = "/twin/occupancy"
 OBSTACLES = "/twin/obstacles"
 SEPARATION = "/twin/separation"
 STATUS = "/twin/status"
 DIAGNOSTICS = "/diagnostics"
-RECORDED = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATUS, DIAGNOSTICS)
+RECORDED = (GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, SEPARATION, STATUS, DIAGNOSTICS)
 """What a twin publishes to the world, and what its log holds."""
 
 JOINT_STATES = "/joint_states"
@@ -57,6 +60,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _MESSAGE_TYPES = {
     GAUSSIANS: TopicKind("sensor_msgs/msg/PointCloud2", Qos(depth=1, latched=True, repeats=True)),
     GAUSSIANS_MOVING: TopicKind("sensor_msgs/msg/PointCloud2"),
+    GAUSSIANS_CHANGED: TopicKind("sensor_msgs/msg/PointCloud2"),
     OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     OBSTACLES: TopicKind("twin_msgs/msg/ObstacleArray", NEWEST),
     SEPARATION: TopicKind("twin_msgs/msg/SeparationState"),

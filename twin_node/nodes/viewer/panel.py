@@ -8,10 +8,18 @@ from collections.abc import Sequence
 
 from twin_node.messages.convert import Status
 from twin_node.nodes.snapshot import SILENT_S, Snapshot
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
+from twin_node.nodes.topics import (
+    GAUSSIANS,
+    GAUSSIANS_CHANGED,
+    GAUSSIANS_MOVING,
+    OBSTACLES,
+    OCCUPANCY,
+    SEPARATION,
+    STATUS,
+)
 from twin_node.scene import Separation, Tier
 
-OF_THE_TWIN = (GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, STATUS)
+OF_THE_TWIN = (GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES, STATUS)
 """What the twin itself says; the arm's node and all others speak on without it."""
 MARKDOWN = re.compile(r"([\\`*_\[\]<>&!#|~+-])")
 """What Markdown takes for more than itself; the page takes HTML in it too."""
