@@ -91,6 +91,18 @@ def test_a_folder_is_split_by_size(tmp_path: Path) -> None:
     assert len(stamps_of(tmp_path / "run")) == 29
 
 
+def test_a_compressed_recording_is_smaller_and_holds_the_same(tmp_path: Path) -> None:
+    for compression in ("none", "zstd", "lz4"):
+        with RecordingWriter(tmp_path / f"{compression}.mcap", compression=compression) as writer:
+            fill(writer, 300, size=1000)
+        assert stamps_of(tmp_path / f"{compression}.mcap") == [i * STEP for i in range(1, 300)]
+    sizes = {path.stem: path.stat().st_size for path in tmp_path.iterdir()}
+    assert sizes["zstd"] < sizes["none"] / 3 and sizes["lz4"] < sizes["none"] / 3
+    with pytest.raises(BagError, match=r"b\.mcap: compression: expected one of none, zstd, lz4, found 'gzip'"):
+        RecordingWriter(tmp_path / "b.mcap", compression="gzip")
+    assert not (tmp_path / "b.mcap").exists()
+
+
 def test_latched_messages_beyond_the_size_do_not_begin_a_file_for_every_message(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "run", SplitParameters(max_size_mb=0.01)) as writer:
         writer.write("/map", STRING, text("m" * 11_000), 0, builtin_types(), latched=True)

@@ -5,10 +5,11 @@ from twin_node.bag.log import BagError, LogMessage, Topic
 from twin_node.bag.reader import LogReader, open_log
 from twin_node.bag.recording import RecordingWriter, SplitParameters
 from twin_node.bag.rig import RigRecord, read_rig_record, write_rig
-from twin_node.bag.writer import LogWriter
+from twin_node.bag.writer import ChunkCompression, LogWriter
 
 __all__ = [
     "BagError",
+    "ChunkCompression",
     "LogMessage",
     "LogReader",
     "LogWriter",

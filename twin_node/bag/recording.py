@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, get_args
 
 from mcap.writer import CompressionType, Writer
 
@@ -17,7 +17,7 @@ from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.qos import is_latched, offered_qos_profiles
-from twin_node.bag.writer import PROFILE, RECORDER
+from twin_node.bag.writer import PROFILE, RECORDER, ChunkCompression
 from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
@@ -32,7 +32,7 @@ class SplitParameters:
     """When the next file of a recording is begun."""
 
     max_size_mb: float = 0.0
-    """Size of a file, MB, beside the latched messages that it begins with again; 0: no limit."""
+    """Size of a file before its compression, MB, beside the latched messages that it begins with again; 0: no limit."""
     max_duration_s: float = 0.0
     """Time that a file spans, s; 0: no limit."""
 
@@ -77,11 +77,18 @@ class RecordingWriter:
 
     `path` ends in `.mcap` for one file, which cannot be split, or is a new folder: NAME_0.mcap, NAME_1.mcap and so on,
     and `metadata.yaml`. Latched messages stand at the beginning of every file again, so that each is whole.
-    Raises `BagError` for a path that exists, and where the disk refuses; what was written by then can be read.
+    Raises `BagError` for a path that exists, a compression that is none, and where the disk refuses; what was written
+    by then can be read.
     """
 
-    def __init__(self, path: Path | str, split: SplitParameters | None = None) -> None:
+    def __init__(
+        self, path: Path | str, split: SplitParameters | None = None, compression: ChunkCompression | str = "none"
+    ) -> None:
+        if compression not in get_args(ChunkCompression):
+            known = ", ".join(get_args(ChunkCompression))
+            raise BagError(f"{path}: compression: expected one of {known}, found {compression!r}")
         self.path = Path(path)
+        self._compression = CompressionType[compression.upper()]
         self._split = split or SplitParameters()
         self._channels: dict[str, _Channel] = {}
         self._kept: dict[str, list[bytes]] = {}
@@ -211,7 +218,7 @@ class RecordingWriter:
         if path.suffix != ".mcap":
             path = path / f"{path.name}_{len(self._files)}.mcap"
         stream = path.open("xb")
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         writer.start(PROFILE, RECORDER)
         stream.flush()  # before the metadata names it: an empty file is no log
         self._files.append(_File(path, stream, writer))

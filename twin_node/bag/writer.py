@@ -30,6 +30,8 @@ RECORDER = "twin_node record"
 """Written into logs of what happened once."""
 CHUNK_BYTES = 1 << 20
 """Uncompressed size at which a chunk is closed: mcap's default, half a second of one 640x480 JPEG stream."""
+ChunkCompression = Literal["none", "zstd", "lz4"]
+"""How the chunks of an MCAP file are compressed. Zstd makes what a twin says a quarter, for a twentieth of a core."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,7 @@ class LogWriter:
     Raises `BagError` for a wrong path, stamp or type, for messages after `close`, and when the disk refuses.
     """
 
-    def __init__(
-        self, path: Path | str, compression: Literal["none", "zstd", "lz4"] = "none", *, recorded: bool = False
-    ) -> None:
+    def __init__(self, path: Path | str, compression: ChunkCompression = "none", *, recorded: bool = False) -> None:
         self.path = Path(path)
         self._topics: dict[str, str] = {}
         self._closed = False

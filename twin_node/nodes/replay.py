@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin_node.bag import LogWriter
+from twin_node.bag import ChunkCompression, LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
 from twin_node.model.first_light import FirstLight
@@ -106,7 +106,8 @@ def replay(
         if keep_ticks:
             spool = stack.enter_context(Spool(session.span.start_ns, session.span.stop_ns, expected_hz))
         with contextlib.ExitStack() as writing:
-            log = writing.enter_context(LogWriter(output)) if output is not None else None
+            compression: ChunkCompression = "zstd" if rate is None else "none"  # in real time it would take the twin's
+            log = writing.enter_context(LogWriter(output, compression)) if output is not None else None
             engine = _Engine(session, parameters, spool, log, recorded, progress)
             try:
                 run = engine.in_lockstep() if rate is None else engine.in_real_time(rate)

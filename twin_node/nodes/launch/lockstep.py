@@ -26,7 +26,7 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
     player = fill(PlayParameters, sections.get("player", {}), f"{where}: player")
     _refuse(player, ("rate", "loop", "topics", "start_paused"), f"{where}: player")
     recorder = fill(RecordParameters, sections.get("recorder", {}), f"{where}: recorder")
-    _refuse(recorder, ("all", "split"), f"{where}: recorder")
+    _refuse(recorder, ("all", "split", "compression"), f"{where}: recorder")
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
     output = recorder.output
     if output and Path(output).resolve() == Path(player.log).resolve():

@@ -37,6 +37,8 @@ class RecordParameters:
     all: bool = False
     """Every topic of the graph whose type is known here, also those that come later."""
     split: SplitParameters = field(default_factory=SplitParameters)
+    compression: str = "none"
+    """Of the chunks: none, as `ros2 bag record`, zstd or lz4."""
     ends_when_refused: bool = False
     """Where the disk refuses, the node ends with that error; else it stays, so that a graph goes on, and says so."""
     tells: bool = False
@@ -94,7 +96,7 @@ class LiveRecorderNode(Node):
             self._say(f"{wanted} exists already: recording into {path}")
         builtin_types()  # takes half a second when first called: a topic that has just been found cannot wait for it
         try:
-            self._writer = RecordingWriter(path, self._parameters.split)
+            self._writer = RecordingWriter(path, self._parameters.split, self._parameters.compression)
         except BagError as error:
             if path == wanted or self._parameters.ends_when_refused:
                 raise
