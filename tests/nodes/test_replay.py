@@ -23,10 +23,19 @@ from twin_node.model.model_process import ModelProcess
 from twin_node.native_library import kernel_threads
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.chain_parameters import load_parameters
+from twin_node.nodes.cloud_updates import SHOWN_COLOUR, updated
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, SEPARATION, STATUS
+from twin_node.nodes.topics import (
+    GAUSSIANS,
+    GAUSSIANS_CHANGED,
+    GAUSSIANS_MOVING,
+    OBSTACLES,
+    OCCUPANCY,
+    SEPARATION,
+    STATUS,
+)
 from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
 
 SECONDS = 1.2
@@ -100,6 +109,20 @@ def test_moving_clouds_hold_no_static_gaussian(lockstep: Path) -> None:
     assert all((cloud.tiers != Tier.STATIC).all() for cloud in clouds)
     assert len(clouds[-1].means) > 50
     assert len(first.means) > 500
+
+
+def test_clouds_between_two_whole_ones_make_the_second_of_the_first(lockstep: Path) -> None:
+    with open_log(lockstep / "out.mcap") as log:
+        first, second = log.messages([GAUSSIANS])
+        topics = (GAUSSIANS_CHANGED, GAUSSIANS_MOVING)
+        told = {entry.topic: entry.message for entry in log.messages(topics) if entry.stamp <= second.stamp}
+    changed, moving = (convert.gaussians_from_pointcloud2(told[topic]) for topic in topics)
+    made = updated(convert.gaussians_from_pointcloud2(first.message), changed, moving)
+    whole = convert.gaussians_from_pointcloud2(second.message)
+    order, ids = np.argsort(made.ids), np.argsort(whole.ids)
+    assert np.array_equal(made.ids[order], whole.ids[ids]) and np.array_equal(made.tiers[order], whole.tiers[ids])
+    assert np.abs(made.rgb[order] - whole.rgb[ids]).max() < SHOWN_COLOUR + 1 / 255
+    assert np.abs(made.means[order] - whole.means[ids]).max() < 0.25 * whole.scales.max()
 
 
 def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
