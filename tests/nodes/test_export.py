@@ -201,6 +201,13 @@ def test_a_long_range_is_never_held_whole(form: str, tmp_path: Path) -> None:
     assert most[0] <= 3
 
 
+def test_a_range_that_goes_on_beyond_the_log_ends_with_it() -> None:
+    assert ExportSpan(0.5, 9.0, 10).stamps(0, 800_000_000) == [500_000_000, 600_000_000, 700_000_000, 800_000_000]
+    for beyond in (ExportSpan(0.9, 9.0, 10), ExportSpan.one(0.9)):
+        with pytest.raises(ExportError, match="expected a span inside"):
+            beyond.stamps(0, 800_000_000)
+
+
 def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation

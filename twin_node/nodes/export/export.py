@@ -30,7 +30,7 @@ class ExportSpan:
 
     start_s: float = 0.0
     stop_s: float | None = None
-    """None: the end of the log."""
+    """None: the end of the log, where a range that goes on beyond it ends, too."""
     rate_hz: float = 30.0
 
     @staticmethod
@@ -42,6 +42,8 @@ class ExportSpan:
         """Log times, ns, of a log from `start_ns` to `end_ns`. Raises `ExportError` for times that it does not have."""
         length = (end_ns - start_ns) / 1e9
         stop = length if self.stop_s is None else self.stop_s
+        if stop > self.start_s:
+            stop = min(stop, length)
         if not 0 <= self.start_s <= stop <= length + 1e-9:
             raise ExportError(
                 f"times {self.start_s:g} to {stop:g} s: expected a span inside the log's 0 to {length:.3f} s; correct "
