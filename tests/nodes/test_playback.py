@@ -38,6 +38,16 @@ def test_any_order_of_times_shows_the_same(twin_log: Path, times: list[int]) -> 
             assert shown.joints.positions[0] == pytest.approx(0.1 * (time // PERIOD))
 
 
+def test_clouds_are_moved_on_to_a_time_near_their_own(twin_log: Path) -> None:
+    with Playback([twin_log]) as playback:
+        shown = playback.at(START + 3 * PERIOD + PERIOD // 2)
+    cloud, now, later = shown.cloud, shown.cloud_now, shown.cloud_at(START + 9 * PERIOD)
+    assert cloud is not None and now is not None and later is not None
+    assert np.allclose(now.means, cloud.means + 0.05 * cloud.velocities, atol=1e-6)
+    assert np.allclose(later.means, cloud.means + 0.2 * cloud.velocities, atol=1e-6)  # no farther than that is foreseen
+    assert np.abs(cloud.velocities).max() > 0
+
+
 def test_before_the_first_message_nothing_is_known(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         shown = playback.at(START - 1)

@@ -63,6 +63,10 @@ def _never(_names: frozenset[str]) -> int | None:
     return None
 
 
+LONGEST_MOVE_S = 0.2
+"""How far Gaussians are moved on at their velocities, s: as far as the twin foresees."""
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
@@ -83,7 +87,7 @@ class Snapshot:
 
     @cached_property
     def cloud(self) -> GaussianCloud | None:
-        """All Gaussians: the last whole cloud, what has changed since, and what moves."""
+        """All Gaussians as they were published: the last whole cloud, what has changed since, and what moves."""
         whole, moving = self.said.get(GAUSSIANS), self.said.get(GAUSSIANS_MOVING)
         if whole is None:
             return None if moving is None else convert.gaussians_from_pointcloud2(moving.message)
@@ -96,6 +100,23 @@ class Snapshot:
 
         of_all = convert.gaussians_from_pointcloud2(whole.message)
         return updated(of_all, later(self.said.get(GAUSSIANS_CHANGED)), later(moving))
+
+    def cloud_at(self, stamp: int) -> GaussianCloud | None:
+        """All Gaussians, moved on at their velocities from the set that they follow to a time near it, ns.
+
+        So a model that is some sets late is shown beside images and arm as it would be there.
+        """
+        cloud = self.cloud
+        if cloud is None:
+            return None
+        said = (self.said[topic].message for topic in (GAUSSIANS, GAUSSIANS_MOVING) if topic in self.said)
+        seconds = (stamp - max(map(header_stamp, said))) * 1e-9
+        return cloud.moved(min(max(seconds, -LONGEST_MOVE_S), LONGEST_MOVE_S))
+
+    @property
+    def cloud_now(self) -> GaussianCloud | None:
+        """All Gaussians, moved on to the time of the snapshot."""
+        return self.cloud_at(self.stamp)
 
     @cached_property
     def whole_stamp(self) -> int | None:

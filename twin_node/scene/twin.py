@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -49,6 +49,10 @@ class GaussianCloud:
         """The chosen Gaussians: a mask [N], or rows in the order wanted."""
         rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen  # once, not for every attribute
         return GaussianCloud(**{name: values.take(rows, 0) for name, values in vars(self).items()})
+
+    def moved(self, seconds: float) -> GaussianCloud:
+        """These Gaussians some seconds later, or before, at their velocities; they do not turn."""
+        return replace(self, means=self.means + self.velocities * np.float32(seconds))
 
     def joined(self, other: GaussianCloud) -> GaussianCloud:
         """These Gaussians and then the other's, whose `nodes` must be rows of the same `NodeStates`."""

@@ -17,7 +17,7 @@ from twin_node.nodes.report.quality import render_cloud, unit
 from twin_node.nodes.snapshot import SILENT_S, Snapshot, in_force
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
-from twin_node.scene import HORIZONS_NS, Camera, Float32, ObstacleKind, UInt8, View
+from twin_node.scene import HORIZONS_NS, Camera, Float32, GaussianCloud, ObstacleKind, UInt8, View
 
 ERROR_GAIN = 3.0
 """Differences are shown so many times as large: an error of a third is white."""
@@ -69,7 +69,7 @@ class Film:
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
-        return _side_by_side([_titled(c.name, _pixels(self._rendering(c, snapshot))) for c in self._cameras])
+        return _side_by_side([_titled(c.name, _pixels(_rendering(c, snapshot.cloud_now))) for c in self._cameras])
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
@@ -81,15 +81,15 @@ class Film:
         """The twin from a camera that goes around it, with boxes about what moves."""
         height = self._width * 9 // 16
         camera = orbit_camera(snapshot, self._width, height, (snapshot.stamp - self._start) / 1e9)
-        picture = _pixels(self._rendering(camera, snapshot))
+        picture = _pixels(_rendering(camera, snapshot.cloud_now))
         obstacles = in_force(snapshot.obstacles, snapshot.stamp)
         return draw_boxes(picture, camera, obstacles, obstacles.kinds == ObstacleKind.MOVING, MOVING_COLOUR)
 
     def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
-        ours = self._rendering(camera, snapshot)
+        is_old = view is None or snapshot.camera_silent_s(camera.name) > SILENT_S
+        ours = _rendering(camera, snapshot.cloud_now if view is None or is_old else snapshot.cloud_at(view.stamp))
         image = differs = foreseen = _blank(camera)
         if view is not None:
-            is_old = snapshot.camera_silent_s(camera.name) > SILENT_S
             image, differs = _image(view, snapshot), differs if is_old else _difference(ours, view)
             foreseen = self._foreseen(camera, view, snapshot)
         titled = {
@@ -111,12 +111,6 @@ class Film:
             if mask is not None:
                 picture = outline(picture, mask, colour)
         return picture
-
-    def _rendering(self, camera: Camera, snapshot: Snapshot) -> Float32:
-        cloud = snapshot.cloud
-        if cloud is None or not len(cloud.means):
-            return np.zeros((camera.height, camera.width, 3), np.float32)
-        return render_cloud(cloud, camera)
 
     def _caption(self, snapshot: Snapshot, width: int) -> UInt8:
         words = f"{(snapshot.stamp - self._start) / 1e9:6.2f} s"
@@ -142,6 +136,12 @@ NEEDED: Mapping[str, str] = {"beside": GAUSSIANS, "cameras": GAUSSIANS, "forecas
 
 def _views(snapshot: Snapshot) -> dict[str, View]:
     return {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
+
+
+def _rendering(camera: Camera, cloud: GaussianCloud | None) -> Float32:
+    if cloud is None or not len(cloud.means):
+        return np.zeros((camera.height, camera.width, 3), np.float32)
+    return render_cloud(cloud, camera)
 
 
 def _image(view: View, snapshot: Snapshot) -> UInt8:

@@ -194,9 +194,9 @@ def valid_pixels(view: View) -> Bool:
 
 def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> Image:
     """[H, W, 3] what `camera` sees of a cloud, moved on along its velocities by some seconds."""
-    means = torch.from_numpy(cloud.means + cloud.velocities * np.float32(seconds))
+    cloud = cloud.moved(seconds)
     splats = Splats(
-        means[None],
+        torch.from_numpy(cloud.means)[None],
         torch.from_numpy(cloud.quats)[None],
         torch.from_numpy(cloud.scales),
         torch.from_numpy(cloud.opacities),

@@ -74,7 +74,7 @@ class PickedThing:
         )
 
     def _gaussian(self, snapshot: Snapshot) -> str:
-        cloud = snapshot.cloud
+        cloud = snapshot.cloud_now
         row = None if cloud is None else _row_of_gaussian(cloud, self._picked)
         if cloud is None or row is None:
             self._places.clear()

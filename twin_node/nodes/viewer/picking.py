@@ -54,7 +54,7 @@ def pick(snapshot: Snapshot, ray: Ray, kinds: Collection[ObstacleKind], with_gau
     if len(distances) and distances.min() < best:
         row = int(distances.argmin())
         best, hit = float(distances[row]), Pick(int(obstacles.ids[row]), ObstacleKind(int(obstacles.kinds[row])))
-    cloud = snapshot.cloud if with_gaussians else None
+    cloud = snapshot.cloud_now if with_gaussians else None
     if cloud is not None and len(cloud.means):
         distances = _to_gaussians(cloud, ray)
         if distances.min() < best:

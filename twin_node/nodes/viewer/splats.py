@@ -43,7 +43,7 @@ class SplatLayers:
         """Brings both layers up to date."""
         for layer in self._layers.values():
             layer.visible = self.is_shown
-        cloud = snapshot.cloud
+        cloud = snapshot.cloud_now
         if cloud is None:  # before the first: those that are there are of later
             self._still = self._whole_stamp = None
             for name in tuple(self._layers):
