@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import c_void_p
 from functools import cache
 from pathlib import Path
@@ -22,11 +22,18 @@ from twin_node import native_build
 from twin_node.errors import TwinError, TwinWarning
 
 
-class NativeLibrary:
-    """One compiled variant of a room's kernels. Safe from several threads; a forked child gets the room's error.
+class KernelRequest(ctypes.Structure):
+    """What is asked of one kernel; mirrors a struct of the room's C interface."""
 
-    A room says what it is by its class attributes, and declares and calls its own functions of `_dll`.
-    """
+    __slots__ = ()
+    KERNEL: ClassVar[str]
+    """The function that takes a pointer to it, without the room's name before it."""
+    RETURNS: ClassVar[Any] = ctypes.c_int32
+    """What that returns: a status, not 0 where there was no memory; None: nothing."""
+
+
+class NativeLibrary:
+    """One compiled variant of a room's kernels. Safe from several threads; a forked child gets the room's error."""
 
     KERNELS: ClassVar[native_build.KernelSources]
     VERSION: ClassVar[int]
@@ -39,14 +46,30 @@ class NativeLibrary:
         version = self._dll[f"{self.KERNELS.name}_interface_version"]()
         if version != self.VERSION:
             raise OSError(f"{path}: expected interface version {self.VERSION}, found {version}")
+        self._functions: dict[type[KernelRequest], Any] = {}
         self._forked = False
         os.register_at_fork(after_in_child=self._mark_forked)
 
-    def _declare(self, returns: Any, **requests: type[ctypes.Structure]) -> None:
-        """Functions of the room by name, each of which takes a pointer to its request."""
-        for name, request in requests.items():
-            function = getattr(self._dll, f"{self.KERNELS.name}_{name}")
-            function.argtypes, function.restype = [ctypes.POINTER(request)], returns
+    def call(self, request: KernelRequest) -> int:
+        """Calls the kernel that a request is for, and gives what it returns; 0 of one that returns nothing.
+
+        Raises the room's error in a child that was forked after the library had been loaded.
+        """
+        self._require_not_forked()
+        function = self._functions.get(type(request))
+        if function is None:
+            function = self._functions[type(request)] = self._declared(type(request))
+        return function(request) or 0
+
+    def run(self, request: KernelRequest) -> None:
+        """Calls the kernel that a request is for. Raises as `call` does, and `MemoryError`."""
+        if self.call(request):
+            raise MemoryError(f"{self.KERNELS.name}: no memory for what its kernels work on")
+
+    def _declared(self, kind: type[KernelRequest]) -> Any:
+        function = getattr(self._dll, f"{self.KERNELS.name}_{kind.KERNEL}")
+        function.argtypes, function.restype = [ctypes.POINTER(kind)], kind.RETURNS
+        return function
 
     def _mark_forked(self) -> None:
         self._forked = True
@@ -108,6 +131,7 @@ def _openmp_threads() -> int:
 
 
 Loaded = TypeVar("Loaded", bound=NativeLibrary)
+Struct = TypeVar("Struct", bound=ctypes.Structure)
 
 
 def load(make: Callable[[Path], Loaded], kernels: native_build.KernelSources, variant: str) -> Loaded:
@@ -136,6 +160,11 @@ def best_or_none(load: Callable[[str], Loaded], without: str) -> Loaded | None:
     except (native_build.CompileError, OSError) as error:
         warnings.warn(f"{without}: {error}", TwinWarning, stacklevel=3)
         return None
+
+
+def array_of(kind: type[Struct], structs: Sequence[Struct]) -> ctypes.Array[Struct]:
+    """Structs of one kind side by side, as kernels take them."""
+    return (kind * len(structs))(*structs)
 
 
 def address_of(array: NDArray[Any]) -> int | None:

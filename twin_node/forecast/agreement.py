@@ -107,7 +107,7 @@ def agreed(sightings: Sequence[Sighting], expected: Estimate, whole: Whole) -> A
     sizes = (len(expected.sigmas), len(sightings), _TURNS)
     limits = (UNKNOWN_SPEED, _DEPTH_SIGMA, _DEPTH_SHARE, FOUND_PIXELS, _ASTRAY)
     addresses = addresses_of(*known, found.velocities, found.sigmas, lost)
-    compiled.solve(part_requests.SolveRequest(*sizes, *limits, ctypes.addressof(given), *addresses))
+    compiled.run(part_requests.SolveRequest(*sizes, *limits, ctypes.addressof(given), *addresses))
     return Agreement(found, lost)
 
 

@@ -67,7 +67,7 @@ def _layers_by(compiled: Kernels, grid: Grid, ahead: Ahead) -> tuple[OccupancyLa
     grown = GrowRequest(0, layers, 0, *grid.dims, threads, *(None,) * 5, *addresses_of(*room.arrays))
     counts = (len(parts.labels), ahead.resting.shape[1], parts.count, layers, len(REACHES), MOST_STEPS, FARTHEST)
     shares = (RIM_RADIUS, NARROWER, PART_SIZE, ROUNDING, grid.voxel_size)
-    compiled.grow_ahead(AheadRequest(*counts, *shares, *addresses_of(*arrays), grown))
+    compiled.run(AheadRequest(*counts, *shares, *addresses_of(*arrays), grown))
     found = all_told(compiled, room, CORE_PROBABILITY, BOUND_PROBABILITY, threads)
     return tuple(OccupancyLayer(horizon, *one) for horizon, one in zip(HORIZONS_NS, found, strict=True))
 

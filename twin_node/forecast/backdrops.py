@@ -78,7 +78,7 @@ def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -
     found, (height, width) = Backdrop(np.empty_like(before), np.empty_like(before)), before.shape
     given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before)
     sizes, lengths = (width, height, HOLE), (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
-    compiled.revise(ReviseRequest(*sizes, *lengths, *addresses_of(*given, found.kept, found.filled)))
+    compiled.run(ReviseRequest(*sizes, *lengths, *addresses_of(*given, found.kept, found.filled)))
     return found
 
 

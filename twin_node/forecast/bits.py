@@ -64,7 +64,8 @@ class Bits:
         if compiled is None:
             return cls.of_indices_reference(dims, indices)
         found, places = cls.none(dims), np.ascontiguousarray(indices, np.int64)
-        compiled.pack(PackRequest(len(places), *dims, *addresses_of(places, found.words)))
+        if compiled.call(PackRequest(len(places), *dims, *addresses_of(places, found.words))):
+            raise IndexError("voxels: expected flat indices within the grid, found some beside it")
         return found
 
     @classmethod
@@ -89,7 +90,7 @@ class Bits:
         compiled, words = kernels(), np.ascontiguousarray(self.words)
         if compiled is None:
             return int(np.bitwise_count(words).sum())
-        return compiled.tally(TallyRequest(words.size, *addresses_of(words)))
+        return compiled.call(TallyRequest(words.size, *addresses_of(words)))
 
     def listed(self, marks: Bits) -> Listed:
         """The voxels, and which of them are marked too. Compiled; `listed_reference` where that cannot be."""
@@ -112,7 +113,7 @@ class Bits:
             return encode_runs(self.mask())
         words, count = np.ascontiguousarray(self.words), np.zeros(1, np.int64)
         room = np.empty(((int(np.prod(self.dims)) + 1) // 2, 2), np.uint32)
-        compiled.runs(RunsRequest(*self.dims, *addresses_of(words, room, count)))
+        compiled.run(RunsRequest(*self.dims, *addresses_of(words, room, count)))
         return room[: count[0]].copy()
 
     def holds(self, indices: NDArray[np.integer]) -> Bool:
@@ -212,6 +213,6 @@ def all_told(compiled: Kernels, masks: Masks, marked: int, unmarked: int, thread
     indices, told = np.empty(total, np.uint32), np.empty(total, np.uint8)
     words, marks = np.ascontiguousarray(masks.words), np.ascontiguousarray(masks.marks)
     addresses = addresses_of(words, marks, masks.counts, masks.planes, indices, told)
-    compiled.list(ListRequest(len(words), *masks.dims, threads, marked, unmarked, *addresses))
+    compiled.run(ListRequest(len(words), *masks.dims, threads, marked, unmarked, *addresses))
     ends = np.cumsum(masks.counts).tolist()
     return [Told(indices[first:end], told[first:end]) for first, end in pairwise([0, *ends])]

@@ -36,7 +36,7 @@ def concealed(carved: Carved, knows_arm: bool, stands: Bits, before: Bits) -> Co
     on_arm = carved.on_arm.words if knows_arm else None
     found = Concealed(Bits.room(stands.dims), Bits(stands.dims, before.words.copy()))
     masks = (carved.unknown.words, carved.may_move.words, carved.likely_moves.words, on_arm, stands.words)
-    compiled.conceal(ConcealRequest(stands.words.size, *addresses_of(*masks, found.hiding.words, found.unseen.words)))
+    compiled.run(ConcealRequest(stands.words.size, *addresses_of(*masks, found.hiding.words, found.unseen.words)))
     return found
 
 

@@ -102,7 +102,7 @@ def _covers_by(compiled: Kernels, wanted: Sequence[Wanted], before: UInt32) -> C
     counts, given = np.empty(len(wanted), np.int64), np.ascontiguousarray(before, np.uint32)
     arrays = (PRICES, given, ids, *corners, counts)
     sizes = (len(wanted), len(given), len(PRICES), HIGHEST_LEVEL, LOYALTY)
-    compiled.cover(CoverRequest(*sizes, *addresses_of(*arrays), tasks))
+    compiled.run(CoverRequest(*sizes, *addresses_of(*arrays), tasks))
     total = int(counts.sum())
     return Covers(ids[:total], corners[0, :total], corners[1, :total], counts)
 

@@ -56,7 +56,7 @@ def regress(scale: Scale, came: Came) -> None:
     given = (np.ascontiguousarray(came.then), np.ascontiguousarray(came.logs), PRIOR_SLOPES)
     lengths = (came.kept, came.weight, _UPPER, _RIDGE)
     addresses = addresses_of(*given, scale.gram, scale.moment, scale.slopes)
-    compiled.regress(RegressRequest(len(came.logs), len(PRIOR_SLOPES), *lengths, *addresses))
+    compiled.run(RegressRequest(len(came.logs), len(PRIOR_SLOPES), *lengths, *addresses))
 
 
 def regress_reference(scale: Scale, came: Came) -> None:

@@ -108,7 +108,7 @@ def _spread_by(
         reach.astype(np.uint16),
     )
     arrays = (*(np.ascontiguousarray(array) for array in given), *room.arrays)
-    compiled.grow(GrowRequest(len(points.labels), layers, parts, *grid.dims, thread_count(), *addresses_of(*arrays)))
+    compiled.run(GrowRequest(len(points.labels), layers, parts, *grid.dims, thread_count(), *addresses_of(*arrays)))
     found = all_told(compiled, room, marked=1, unmarked=0, threads=thread_count())
     return tuple(Spread(one.indices, one.values.view(np.bool_)) for one in found)
 

@@ -112,7 +112,7 @@ def follow(grid: Grid, memory: Memory, seen: Seen) -> Bits:
     arrays = (*given, *kept, reachable.words)
     hop = _hop(grid, seen.elapsed_s)
     steps = (_hand(grid), hop, _way(grid, seen.elapsed_s) - hop, _fewest(grid))
-    compiled.hide(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses_of(*arrays)))
+    compiled.run(HideRequest(*grid.dims, *steps, seen.elapsed_s, ATTACHED_S, _NEVER, *addresses_of(*arrays)))
     return reachable
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from twin_node.forecast.blobs import COMPACT, SMALLEST_BLOB, Blobs, blobs_reference, flights_reference
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.pace import LONGEST_GAP_S
-from twin_node.forecast.part_requests import SeeRequest
-from twin_node.native_library import addresses_of, thread_count
+from twin_node.forecast.part_requests import SeeRequest, SeeRequests
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8, View
 
 
@@ -87,7 +87,8 @@ def seen(views: Sequence[View], moving: Sequence[Bool]) -> list[Image]:
     if compiled is None:
         return [seen_reference(*one) for one in zip(views, moving, strict=True)]
     rows = [_SeenRow(view, mask) for view, mask in zip(views, moving, strict=True)]
-    compiled.see([row.request() for row in rows], thread_count())
+    requests = array_of(SeeRequest, [row.request() for row in rows])
+    compiled.run(SeeRequests(len(rows), thread_count(), requests))
     return [row.image() for row in rows]
 
 

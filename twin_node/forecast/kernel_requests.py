@@ -5,13 +5,16 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_void_p
 
-INTERFACE_VERSION = 32
+from twin_node.native_library import KernelRequest
+
+INTERFACE_VERSION = 33
 """Of these and of `part_requests`, `native/interface.h`."""
 
 
-class GrowRequest(ctypes.Structure):
+class GrowRequest(KernelRequest):
     """`forecast::GrowRequest`."""
 
+    KERNEL = "grow"
     _fields_ = (
         ("points", c_int64),
         *((name, c_int32) for name in ("layers", "parts", "nx", "ny", "nz", "threads")),
@@ -20,9 +23,10 @@ class GrowRequest(ctypes.Structure):
     )
 
 
-class AheadRequest(ctypes.Structure):
+class AheadRequest(KernelRequest):
     """`forecast::AheadRequest`."""
 
+    KERNEL = "grow_ahead"
     _fields_ = (
         *((name, c_int64) for name in ("voxels", "resting", "parts")),
         *((name, c_int32) for name in ("layers", "levels", "most_steps", "farthest")),
@@ -36,9 +40,10 @@ class AheadRequest(ctypes.Structure):
     )
 
 
-class PackRequest(ctypes.Structure):
+class PackRequest(KernelRequest):
     """`forecast::PackRequest`."""
 
+    KERNEL = "pack"
     _fields_ = (
         ("voxels", c_int64),
         *((name, c_int32) for name in ("nx", "ny", "nz")),
@@ -46,15 +51,17 @@ class PackRequest(ctypes.Structure):
     )
 
 
-class TallyRequest(ctypes.Structure):
+class TallyRequest(KernelRequest):
     """`forecast::TallyRequest`."""
 
+    KERNEL, RETURNS = "tally", c_int64
     _fields_ = (("words", c_int64), ("mask", c_void_p))
 
 
-class ListRequest(ctypes.Structure):
+class ListRequest(KernelRequest):
     """`forecast::ListRequest`."""
 
+    KERNEL = "list"
     _fields_ = (
         *((name, c_int32) for name in ("masks", "nx", "ny", "nz", "threads")),
         *((name, c_uint8) for name in ("marked", "unmarked")),
@@ -62,9 +69,10 @@ class ListRequest(ctypes.Structure):
     )
 
 
-class RunsRequest(ctypes.Structure):
+class RunsRequest(KernelRequest):
     """`forecast::RunsRequest`."""
 
+    KERNEL, RETURNS = "runs", None
     _fields_ = (
         *((name, c_int32) for name in ("nx", "ny", "nz")),
         *((name, c_void_p) for name in ("words", "runs", "count")),
@@ -108,9 +116,10 @@ class LookView(ctypes.Structure):
     )
 
 
-class LookRequest(ctypes.Structure):
+class LookRequest(KernelRequest):
     """`forecast::LookRequest`."""
 
+    KERNEL = "look"
     _fields_ = (
         *((name, c_int32) for name in ("views", "threads", "radii", "speck")),
         ("radius", c_void_p),
@@ -119,9 +128,10 @@ class LookRequest(ctypes.Structure):
     )
 
 
-class ReviseRequest(ctypes.Structure):
+class ReviseRequest(KernelRequest):
     """`forecast::ReviseRequest`."""
 
+    KERNEL, RETURNS = "revise", None
     _fields_ = (
         *((name, c_int32) for name in ("width", "height", "reach")),
         ("step_share", c_double),
@@ -130,9 +140,10 @@ class ReviseRequest(ctypes.Structure):
     )
 
 
-class CarveRequest(ctypes.Structure):
+class CarveRequest(KernelRequest):
     """`forecast::CarveRequest`."""
 
+    KERNEL = "carve"
     _fields_ = (
         *((name, c_int32) for name in ("views", "nx", "ny", "nz", "threads")),
         *((name, c_void_p) for name in ("sights", "unknown", "may_move", "likely_moves", "on_arm")),
@@ -151,9 +162,10 @@ class CoverTask(ctypes.Structure):
     )
 
 
-class CoverRequest(ctypes.Structure):
+class CoverRequest(KernelRequest):
     """`forecast::CoverRequest`."""
 
+    KERNEL = "cover"
     _fields_ = (
         *((name, c_int64) for name in ("tasks", "befores")),
         *((name, c_int32) for name in ("prices", "highest_level")),
@@ -163,9 +175,10 @@ class CoverRequest(ctypes.Structure):
     )
 
 
-class HideRequest(ctypes.Structure):
+class HideRequest(KernelRequest):
     """`forecast::HideRequest`."""
 
+    KERNEL = "hide"
     _fields_ = (
         *((name, c_int32) for name in ("nx", "ny", "nz", "width", "hop", "way", "fewest")),
         *((name, c_float) for name in ("elapsed_s", "rest_s", "never")),
@@ -173,9 +186,10 @@ class HideRequest(ctypes.Structure):
     )
 
 
-class ConcealRequest(ctypes.Structure):
+class ConcealRequest(KernelRequest):
     """`forecast::ConcealRequest`."""
 
+    KERNEL, RETURNS = "conceal", None
     _fields_ = (
         ("words", c_int64),
         *((name, c_void_p) for name in ("unknown", "may_move", "likely_moves", "on_arm", "standing")),
@@ -183,9 +197,10 @@ class ConcealRequest(ctypes.Structure):
     )
 
 
-class RestRequest(ctypes.Structure):
+class RestRequest(KernelRequest):
     """`forecast::RestRequest`."""
 
+    KERNEL, RETURNS = "rest", None
     _fields_ = (
         *((name, c_int32) for name in ("nx", "ny", "nz")),
         *((name, c_int64) for name in ("voxels", "stamp", "oldest")),
@@ -193,9 +208,10 @@ class RestRequest(ctypes.Structure):
     )
 
 
-class MarkRequest(ctypes.Structure):
+class MarkRequest(KernelRequest):
     """`forecast::MarkRequest`."""
 
+    KERNEL = "mark"
     _fields_ = (
         *((name, c_int32) for name in ("width", "height", "finer", "nx", "ny", "nz")),
         ("voxel_size", c_double),
@@ -206,9 +222,10 @@ class MarkRequest(ctypes.Structure):
     )
 
 
-class TakeRequest(ctypes.Structure):
+class TakeRequest(KernelRequest):
     """`forecast::TakeRequest`."""
 
+    KERNEL, RETURNS = "take", None
     _fields_ = (
         ("capsules", c_int64),
         *((name, c_int32) for name in ("nx", "ny", "nz")),

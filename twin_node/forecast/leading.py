@@ -52,7 +52,7 @@ def _led_by(compiled: Kernels, guides: Guides, learnt: Float64, weights: Float64
     given = (*paths, guides.floors, guides.features, learnt, weights, horizons, damped_times(horizons), GRAVITY)
     arrays = [*(np.ascontiguousarray(array, np.float64) for array in given), found.single, found.mixed]
     sizes = (count, len(horizons), features, BOUNCE)
-    compiled.lead(LeadRequest(*sizes, *addresses_of(*arrays)))
+    compiled.run(LeadRequest(*sizes, *addresses_of(*arrays)))
     return found
 
 

@@ -65,7 +65,7 @@ def _found_by(
         *(found.parts, found.foreseen, count),
     )
     sizes = (len(forecast), len(parts.indices), len(seen), margin.inner.voxel_size)
-    compiled.surface(SurfaceRequest(*sizes, *addresses_of(*arrays), views))
+    compiled.run(SurfaceRequest(*sizes, *addresses_of(*arrays), views))
     return MovingSurface(found.parts[: count[0]], found.foreseen[: count[0]])
 
 

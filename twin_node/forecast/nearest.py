@@ -42,7 +42,7 @@ def _nearest_by(compiled: Kernels, points: Float64, among: Float64, count: int, 
     found = Nearest(np.empty(shape), np.empty(shape, np.int64))
     given = (np.ascontiguousarray(points, np.float64), np.ascontiguousarray(among, np.float64))
     sizes = (int(np.prod(groups)), len(points), among.shape[-2], count, within)
-    compiled.nearest(NearestRequest(*sizes, *addresses_of(*given, *found)))
+    compiled.run(NearestRequest(*sizes, *addresses_of(*given, *found)))
     return found
 
 

@@ -103,7 +103,7 @@ def _outlook_by(
     led_by = (floors, learnt, horizons, damped_times(horizons), GRAVITY)
     given = [np.ascontiguousarray(array, np.float64) for array in (*lengths, *led_by)]
     rows = [np.ascontiguousarray(array, np.int64) for array in (near.rows, standing.alone)]
-    compiled.outlook(
+    compiled.run(
         OutlookRequest(
             *(count, samples, near.rows.shape[1], ahead, LAGS, FEATURES),
             *(LINE_S, PARABOLA_S, FILLED, LAG_S, NEAR_SCALE, BODY_SCALE, CELL),

@@ -35,7 +35,7 @@ def within(grid: Grid, ends: Float64, radii: Float64) -> Bits:
         return within_reference(grid, ends, radii)
     arrays = [np.ascontiguousarray(array, np.float64) for array in (grid.origin, ends, radii)]
     taken = Bits.none(grid.dims)
-    compiled.take(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses_of(*arrays, taken.words)))
+    compiled.run(TakeRequest(len(radii), *grid.dims, grid.voxel_size, *addresses_of(*arrays, taken.words)))
     return taken
 
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
+from twin_node.native_library import KernelRequest
 
-class SplitRequest(ctypes.Structure):
+
+class SplitRequest(KernelRequest):
     """`forecast::SplitRequest`."""
 
+    KERNEL = "split"
     _fields_ = (
         ("voxels", c_int64),
         *((name, c_int32) for name in ("nx", "ny", "nz", "side")),
@@ -16,15 +19,17 @@ class SplitRequest(ctypes.Structure):
     )
 
 
-class LinkRequest(ctypes.Structure):
+class LinkRequest(KernelRequest):
     """`forecast::LinkRequest`."""
 
+    KERNEL = "link"
     _fields_ = (("points", c_int64), ("reach", c_double), ("centers", c_void_p), ("pieces", c_void_p))
 
 
-class GatherRequest(ctypes.Structure):
+class GatherRequest(KernelRequest):
     """`forecast::GatherRequest`."""
 
+    KERNEL = "gather"
     _fields_ = (
         *((name, c_int64) for name in ("voxels", "parts")),
         ("reach", c_double),
@@ -42,6 +47,13 @@ class SeeRequest(ctypes.Structure):
     )
 
 
+class SeeRequests(KernelRequest):
+    """`forecast::Views<SeeRequest>`."""
+
+    KERNEL = "see"
+    _fields_ = (("count", c_int32), ("threads", c_int32), ("views", ctypes.POINTER(SeeRequest)))
+
+
 class ShowRequest(ctypes.Structure):
     """`forecast::ShowRequest`."""
 
@@ -55,6 +67,13 @@ class ShowRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("places", "labels", "table_pixels", "table_depths", "moving", "centers")),
         *((name, c_void_p) for name in ("pixels", "shown_labels", "count", "jacobian")),
     )
+
+
+class ShowRequests(KernelRequest):
+    """`forecast::Views<ShowRequest>`."""
+
+    KERNEL = "show"
+    _fields_ = (("count", c_int32), ("threads", c_int32), ("views", ctypes.POINTER(ShowRequest)))
 
 
 class SeenImage(ctypes.Structure):
@@ -78,6 +97,13 @@ class TellRequest(ctypes.Structure):
     )
 
 
+class TellRequests(KernelRequest):
+    """`forecast::Views<TellRequest>`."""
+
+    KERNEL = "tell"
+    _fields_ = (("count", c_int32), ("threads", c_int32), ("views", ctypes.POINTER(TellRequest)))
+
+
 class SolveView(ctypes.Structure):
     """`forecast::SolveView`."""
 
@@ -88,9 +114,10 @@ class SolveView(ctypes.Structure):
     )
 
 
-class SolveRequest(ctypes.Structure):
+class SolveRequest(KernelRequest):
     """`forecast::SolveRequest`."""
 
+    KERNEL, RETURNS = "solve", None
     _fields_ = (
         ("parts", c_int64),
         *((name, c_int32) for name in ("views", "turns")),
@@ -100,9 +127,10 @@ class SolveRequest(ctypes.Structure):
     )
 
 
-class LeadRequest(ctypes.Structure):
+class LeadRequest(KernelRequest):
     """`forecast::LeadRequest`."""
 
+    KERNEL, RETURNS = "lead", None
     _fields_ = (
         ("nodes", c_int64),
         *((name, c_int32) for name in ("horizons", "features")),
@@ -112,9 +140,10 @@ class LeadRequest(ctypes.Structure):
     )
 
 
-class OutlookRequest(ctypes.Structure):
+class OutlookRequest(KernelRequest):
     """`forecast::OutlookRequest`."""
 
+    KERNEL = "outlook"
     _fields_ = (
         *((name, c_int64) for name in ("nodes", "samples", "near")),
         *((name, c_int32) for name in ("horizons", "steps", "seen")),
@@ -138,9 +167,10 @@ class DueForecast(ctypes.Structure):
     )
 
 
-class ReckonRequest(ctypes.Structure):
+class ReckonRequest(KernelRequest):
     """`forecast::ReckonRequest`."""
 
+    KERNEL, RETURNS = "reckon", None
     _fields_ = (
         *((name, c_int64) for name in ("nodes", "samples")),
         *((name, c_int32) for name in ("dues", "experts", "knots", "features", "turns", "learnt_from")),
@@ -153,9 +183,10 @@ class ReckonRequest(ctypes.Structure):
     )
 
 
-class RegressRequest(ctypes.Structure):
+class RegressRequest(KernelRequest):
     """`forecast::RegressRequest`."""
 
+    KERNEL = "regress"
     _fields_ = (
         *(("errors", c_int64), ("cues", c_int32)),
         *((name, c_double) for name in ("kept", "weight", "upper", "ridge")),
@@ -163,9 +194,10 @@ class RegressRequest(ctypes.Structure):
     )
 
 
-class QuantileRequest(ctypes.Structure):
+class QuantileRequest(KernelRequest):
     """`forecast::QuantileRequest`."""
 
+    KERNEL, RETURNS = "find_quantile", c_int64
     _fields_ = (
         *(("errors", c_int64), ("bins", c_int64), ("cues", c_int32)),
         *((name, c_double) for name in ("lowest", "width", "fresh", "share", "slack")),
@@ -173,9 +205,10 @@ class QuantileRequest(ctypes.Structure):
     )
 
 
-class ReachRequest(ctypes.Structure):
+class ReachRequest(KernelRequest):
     """`forecast::ReachRequest`."""
 
+    KERNEL, RETURNS = "reach", None
     _fields_ = (
         ("nodes", c_int64),
         *((name, c_int32) for name in ("horizons", "capped")),
@@ -189,9 +222,10 @@ class ReachRequest(ctypes.Structure):
     )
 
 
-class NearestRequest(ctypes.Structure):
+class NearestRequest(KernelRequest):
     """`forecast::NearestRequest`."""
 
+    KERNEL = "nearest"
     _fields_ = (
         *((name, c_int64) for name in ("groups", "points", "others", "wanted")),
         ("within", c_double),
@@ -208,9 +242,10 @@ class SurfaceView(ctypes.Structure):
     )
 
 
-class SurfaceRequest(ctypes.Structure):
+class SurfaceRequest(KernelRequest):
     """`forecast::SurfaceRequest`."""
 
+    KERNEL = "surface"
     _fields_ = (
         *((name, c_int64) for name in ("forecasts", "voxels", "views")),
         ("voxel_size", c_double),

@@ -76,7 +76,7 @@ def split(grid: Grid, indices: NDArray[np.int64], likely: Bool) -> Parts:
     )
     sums = np.empty((len(indices), 4))
     addresses = addresses_of(voxels, places, labels, sums, count)
-    compiled.split(SplitRequest(len(voxels), *grid.dims, side, *addresses))
+    compiled.run(SplitRequest(len(voxels), *grid.dims, side, *addresses))
     sums = sums[: count[0]]
     return Parts(indices, places, labels, likely, _middles(grid, sums[:, :3], sums[:, 3:]))
 

@@ -94,7 +94,10 @@ def bin_of(past: Past, slopes: Float64, share: float) -> int:
         return bin_of_reference(past, slopes, share)
     sizes, limits = (len(past.logs), _BINS, len(slopes)), (_LOG_RANGE[0], _BIN, past.fresh, share, _SLACK)
     given = (past.cues, past.logs, past.weights, np.ascontiguousarray(slopes))  # alive until the call is over
-    return compiled.find_quantile(QuantileRequest(*sizes, *limits, *addresses_of(*given)))
+    found = compiled.call(QuantileRequest(*sizes, *limits, *addresses_of(*given)))
+    if found < 0:
+        raise MemoryError("forecast: no memory to find a quantile of errors in")
+    return found
 
 
 def bin_of_reference(past: Past, slopes: Float64, share: float) -> int:

@@ -86,7 +86,7 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
     sizes = (radii.shape[1], len(horizons), span.capped)
     times = (known.now, last, known.horizon_s, WARY * last)
     lengths = (factor * bound.quantile, bound.reachable(last, known.stale_s), bound.parameters.largest_radius)
-    compiled.reach(
+    compiled.run(
         ReachRequest(
             *sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), *measured.RATES, *addresses_of(*given, radii)
         )

@@ -133,7 +133,7 @@ def _reckon_by(
     asked = (DueForecast * len(due))(*(_asked(one) for one in due))
     kept = (ledger.profile, records.squared, records.errors, records.began, records.turned, records.judged)
     times, positions = (np.ascontiguousarray(array, np.float64) for array in (history.times, history.positions))
-    compiled.reckon(
+    compiled.run(
         ReckonRequest(
             *(count, len(history.times), len(due), len(records.squared), *learning.moment.shape),
             *(manner.turns, _LEARNT_FROM),

@@ -109,7 +109,7 @@ def rested(memory: Memory, stamp: int, moving: NDArray[np.int64], standing: Bits
         return rested_reference(memory, stamp, moving, standing)
     count, places = np.empty(1, np.int64), np.ascontiguousarray(moving, np.int64)
     arrays = (places, np.ascontiguousarray(standing.words), memory.moved_at, memory.moved.words, memory.room, count)
-    compiled.rest(RestRequest(*standing.dims, len(places), stamp, stamp - _RESTING_NS, *addresses_of(*arrays)))
+    compiled.run(RestRequest(*standing.dims, len(places), stamp, stamp - _RESTING_NS, *addresses_of(*arrays)))
     return memory.room[: count[0]].copy()
 
 

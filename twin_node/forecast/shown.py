@@ -13,11 +13,11 @@ from twin_node.forecast.agreement import Sighting
 from twin_node.forecast.blobs import FLIGHT, FOUND, SAME_AREA
 from twin_node.forecast.image_motion import ALIKE_GREY, Image, Pair, Shifts, shifts_reference
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.part_requests import SeenImage, ShowRequest, TellRequest
+from twin_node.forecast.part_requests import SeenImage, ShowRequest, ShowRequests, TellRequest, TellRequests
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.tables import CameraTable
 from twin_node.geometry import transform
-from twin_node.native_library import addresses_of, thread_count
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Camera, Float64
 
 
@@ -66,7 +66,7 @@ def visible(moving: Sequence[Bool], tables: Sequence[CameraTable], sample: Sampl
         sizes = (voxels, parts, camera.width, camera.height, PART_SIZE, _LEAST_DEPTH)
         requests.append(ShowRequest(*sizes, focal, viewmat, *addresses_of(*arrays)))
         held.append(arrays)  # alive until the call is over
-    compiled.show(requests, thread_count())
+    compiled.run(ShowRequests(len(requests), thread_count(), array_of(ShowRequest, requests)))
     ends = counts[:, 0].tolist()
     return [Visible(pixels[row, :end], mine[row, :end], jacobians[row]) for row, end in enumerate(ends)]
 
@@ -117,7 +117,8 @@ def told(witnesses: Sequence[Witness]) -> list[Sighting]:
     if compiled is None:
         return [told_reference(witness) for witness in witnesses]
     found = [_room(witness) for witness in witnesses]
-    compiled.tell([_told_by(*one) for one in zip(witnesses, found, strict=True)], thread_count())
+    requests = array_of(TellRequest, [_told_by(*one) for one in zip(witnesses, found, strict=True)])
+    compiled.run(TellRequests(len(witnesses), thread_count(), requests))
     return found
 
 

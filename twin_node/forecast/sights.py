@@ -93,7 +93,7 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
     p, radii = parameters, np.array(_RADII)
     counts = (len(looks), thread_count(), len(radii), _SPECK)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
-    compiled.look(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
+    compiled.run(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
     return sights
 
 

@@ -112,7 +112,7 @@ def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
         marked,
     )
     sizes = (width, height, FINER, *grid.dims, grid.voxel_size)
-    compiled.mark(MarkRequest(*sizes, *addresses_of(*arrays)))
+    compiled.run(MarkRequest(*sizes, *addresses_of(*arrays)))
 
 
 def mark_reference(grid: Grid, marked: Bool, view: View, where: Bool) -> None:

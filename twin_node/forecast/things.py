@@ -157,7 +157,7 @@ def gather(parts: Parts) -> Gathered:
     given = tuple(np.ascontiguousarray(array) for array in (parts.places, parts.labels, parts.likely, parts.centers))
     count = np.empty(1, np.int64)
     addresses = addresses_of(*given, labels, extents, count)
-    compiled.gather(GatherRequest(len(parts.labels), parts.count, _REACH, *addresses))
+    compiled.run(GatherRequest(len(parts.labels), parts.count, _REACH, *addresses))
     extents = extents[: count[0]]
     return Gathered(labels, extents[:, 0], *(extents[:, first : first + 3] for first in (1, 4, 7, 10)))
 
@@ -197,7 +197,7 @@ def pieces_of(centers: Float64, reach: float = _REACH) -> NDArray[np.int64]:
     if compiled is None:
         return pieces_of_reference(centers, reach)
     pieces, middles = np.empty(len(centers), np.int64), np.ascontiguousarray(centers, np.float64)
-    compiled.link(LinkRequest(len(centers), reach, *addresses_of(middles, pieces)))
+    compiled.run(LinkRequest(len(centers), reach, *addresses_of(middles, pieces)))
     return pieces
 
 

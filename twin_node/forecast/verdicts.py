@@ -88,7 +88,7 @@ def carved(blocks: Blocks, sights: Sequence[Sight]) -> Carved:
     dims = blocks.grid.dims
     found = Carved(*(Bits.room(dims) for _ in range(4)))
     masks = addresses_of(found.unknown.words, found.may_move.words, found.likely_moves.words, found.on_arm.words)
-    compiled.carve(kernel_requests.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
+    compiled.run(kernel_requests.CarveRequest(len(sights), *dims, thread_count(), ctypes.addressof(given), *masks))
     return found
 
 

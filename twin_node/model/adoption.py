@@ -100,7 +100,7 @@ def nearest(places: Float64, own: Float64) -> NDArray[np.int64]:
         return nearest_reference(places, own)
     at, columns = np.ascontiguousarray(places), np.ascontiguousarray(own.T)
     found = np.empty(len(at), np.int64)
-    library.nearest(NearestRequest(len(at), *own.shape, *addresses_of(at, columns, found)))
+    library.run(NearestRequest(len(at), *own.shape, *addresses_of(at, columns, found)))
     return found
 
 
@@ -136,7 +136,7 @@ def grouped(places: Float64) -> NDArray[np.int64]:
     if library is None:
         return grouped_reference(places)
     at, groups = np.ascontiguousarray(places), np.empty(len(places), np.int64)
-    library.group(GroupRequest(*at.shape, *addresses_of(at, groups)))
+    library.run(GroupRequest(*at.shape, *addresses_of(at, groups)))
     return groups
 
 
@@ -181,7 +181,7 @@ def store(births: Births, adopted: Adopted, poses: Poses, nodes: Nodes, gaussian
     pointers = (t.data_ptr() for t in (*given, *written, g.largest, g.doubts, g.homeless))
     counts = (len(births), nodes.capacity, len(claimed.rows), claimed.first_id, nodes.stamp)
     looks = (float(torch.tensor(NEWBORN_OPACITY).logit()), LARGEST, int(Tier.STATIC), int(Tier.TRANSIENT))
-    library.store_newborns(NewbornRequest(*counts, *looks, *addresses_of(*held), *pointers))
+    library.run(NewbornRequest(*counts, *looks, *addresses_of(*held), *pointers))
     return claimed.rows
 
 

@@ -79,7 +79,7 @@ def carry(poses: Poses, carriers: Tensor) -> Carriage:
     times, nodes = poses.positions.shape[:2]
     turns, shifts, products = (torch.empty(times, nodes + 1, *shape) for shape in ((3, 3), (3,), (4, 4)))
     held = (poses.positions.contiguous(), poses.quats.contiguous(), turns, shifts, products)
-    library.carry(CarryRequest(times, nodes, *(t.data_ptr() for t in held)))
+    library.run(CarryRequest(times, nodes, *(t.data_ptr() for t in held)))
     return Carriage(turns, shifts, products, carriers.remainder(nodes + 1))  # -1 is the row at rest
 
 

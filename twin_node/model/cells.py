@@ -75,7 +75,7 @@ def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     centres, rgb, found = np.empty((count, 3)), np.empty((count, 3)), np.empty(1, np.int64)
     given = [t.contiguous() for t in (rows, gaussians.nodes, gaussians.founders, gaussians.values, means.detach())]
     pointers = (*(t.data_ptr() for t in given), *addresses_of(keys, carriers, of, centres, rgb, found))
-    library.cells(CellRequest(count, AXIS_BITS, CELL_M, *pointers))
+    library.run(CellRequest(count, AXIS_BITS, CELL_M, *pointers))
     cells = int(found[0])
     return Cells(keys[:cells], carriers[:cells], keys[:cells] >> 3 * AXIS_BITS, of, centres[:cells], rgb[:cells])
 

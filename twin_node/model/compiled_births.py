@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,12 +12,12 @@ from twin_node.model import birth_depths, births
 from twin_node.model.backgrounds import OCCLUSION
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.births import SOLID, SPREAD, Births, find_births_reference, joined
-from twin_node.model.kernel_requests import BirthRules, BirthView
+from twin_node.model.kernel_requests import BirthRequest, BirthRules, BirthView
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import BirthParameters
 from twin_node.model.rendering import Rendering
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, array_of, thread_count
 
 
 def find_births(
@@ -40,7 +41,8 @@ def find_births(
         *(OCCLUSION, SPREAD, births.ALIKE, quota, parameters.ray_samples, side),
     )
     calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]
-    library.births(rules, [call.view for call in calls])
+    views = array_of(BirthView, [call.view for call in calls])
+    library.run(BirthRequest(len(calls), thread_count(), ctypes.pointer(rules), views))
     return joined([call.born(index) for index, call in enumerate(calls)])
 
 

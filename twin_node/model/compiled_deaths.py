@@ -21,7 +21,7 @@ from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedReques
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
-from twin_node.native_library import addresses_of, thread_count
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool
 
 
@@ -39,7 +39,7 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
     held = (means, np.ascontiguousarray(shapes[0].radii), carried, refuted)
     counts = (len(carried), len(observed), thread_count())
-    library.refute(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
+    library.run(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
     return refuted
 
 
@@ -56,7 +56,7 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
     evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
     counts = (count, len(observed), thread_count())
     pointers = addresses_of(evidence.left, evidence.moving)
-    library.judge(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
+    library.run(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
     return evidence
 
 
@@ -69,15 +69,11 @@ class _Views:
 
     def __init__(self, observed: Sequence[Observed], renderings: Sequence[Rendering] | None) -> None:
         self._held = [_given(one, None if renderings is None else renderings[i]) for i, one in enumerate(observed)]
-        views = (
-            DeathView(
-                one.view.camera.width,
-                one.view.camera.height,
-                *addresses_of(*given),
-            )
+        views = [
+            DeathView(one.view.camera.width, one.view.camera.height, *addresses_of(*given))
             for one, given in zip(observed, self._held, strict=True)
-        )
-        self.array = (DeathView * len(observed))(*views)
+        ]
+        self.array = array_of(DeathView, views)
 
 
 def _given(one: Observed, rendering: Rendering | None) -> list[NDArray[np.generic] | None]:

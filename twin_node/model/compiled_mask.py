@@ -25,9 +25,9 @@ from twin_node.model.camera_mask import (
     CameraMask,
     seen_by,
 )
-from twin_node.model.kernel_requests import MaskRequest, MaskRules
+from twin_node.model.kernel_requests import MaskRequest, MaskRequests, MaskRules
 from twin_node.model.kernels import kernels
-from twin_node.native_library import address_of, addresses_of
+from twin_node.native_library import address_of, addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, View
 
 LARGEST_CLOSING = 31
@@ -45,7 +45,8 @@ def update_compiled(cameras: Sequence[CameraMask], views: Sequence[View], robots
     library = kernels()
     assert library is not None
     calls = [_Call(*given) for given in zip(cameras, views, robots, strict=True)]
-    library.mask([call.request for call in calls])
+    requests = array_of(MaskRequest, [call.request for call in calls])
+    library.run(MaskRequests(len(calls), thread_count(), requests))
     return [call.end() for call in calls]
 
 

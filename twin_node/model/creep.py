@@ -41,7 +41,7 @@ class Creep:
         mean, of, at = np.empty((len(cells), 3)), np.ascontiguousarray(cells.of), rows.contiguous()
         arrays = (of, np.ascontiguousarray(homes), self._ids, self._homes, self._means, mean)
         pointers = (*(t.data_ptr() for t in (at, gaussians.ids, gaussians.values)), *addresses_of(*arrays))
-        library.creep(CreepRequest(len(of), len(cells), len(self._ids), *pointers))
+        library.run(CreepRequest(len(of), len(cells), len(self._ids), *pointers))
         return mean
 
     def _crept_reference(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 
 import numpy as np
 
-from twin_node.model.kernel_requests import FlowRules, FlowView
+from twin_node.model.kernel_requests import FlowRequest, FlowRules, FlowView
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.patch_flow import BORDER, LEVELS, PASSES, STEPS, STIFFNESS, STRIDE, flow_between
 from twin_node.model.rendering import Rendering
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8
 
 
@@ -38,5 +39,6 @@ def flows(shown: Sequence[Float32], images: Sequence[UInt8], wanted: Sequence[Bo
         FlowView(flow.shape[1], flow.shape[0], *addresses_of(*given, flow))
         for given, flow in zip(held, found, strict=True)
     ]
-    library.flow(FlowRules(STRIDE, LEVELS, PASSES, STEPS, BORDER, STIFFNESS), views)
+    rules = ctypes.pointer(FlowRules(STRIDE, LEVELS, PASSES, STEPS, BORDER, STIFFNESS))
+    library.run(FlowRequest(len(views), thread_count(), rules, array_of(FlowView, views)))
     return found

@@ -13,7 +13,7 @@ from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
 from twin_node.model.rays import look
 from twin_node.model.rendering import Splats
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool
 
 SKIRT_PX = 3
@@ -43,7 +43,8 @@ def held_pixels(observed: Sequence[Observed], moving: Splats) -> list[Bool]:
         HeldView(one.view.camera.width, one.view.camera.height, *addresses_of(*arrays))
         for one, arrays in zip(observed, given, strict=True)
     ]
-    library.held(HeldRequest(means.shape[1], SKIRT_PX, AROUND_PX), views)
+    counts = (len(views), thread_count())
+    library.run(HeldRequest(means.shape[1], SKIRT_PX, AROUND_PX, *counts, array_of(HeldView, views)))
     return masks
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
+from twin_node.native_library import KernelRequest
+
 INTERFACE_VERSION = 22
 
 
@@ -35,9 +37,10 @@ class MaskRequest(ctypes.Structure):
     )
 
 
-class MaskRequests(ctypes.Structure):
+class MaskRequests(KernelRequest):
     """`model::MaskRequests`."""
 
+    KERNEL = "mask"
     _fields_ = (("count", c_int32), ("threads", c_int32), ("cameras", ctypes.POINTER(MaskRequest)))
 
 
@@ -66,9 +69,10 @@ class BirthView(ctypes.Structure):
     )
 
 
-class BirthRequest(ctypes.Structure):
+class BirthRequest(KernelRequest):
     """`model::BirthRequest`."""
 
+    KERNEL = "births"
     _fields_ = (
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(BirthRules)),
@@ -94,9 +98,10 @@ class FlowView(ctypes.Structure):
     )
 
 
-class FlowRequest(ctypes.Structure):
+class FlowRequest(KernelRequest):
     """`model::FlowRequest`."""
 
+    KERNEL = "flow"
     _fields_ = (
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(FlowRules)),
@@ -104,9 +109,10 @@ class FlowRequest(ctypes.Structure):
     )
 
 
-class BackdropRequest(ctypes.Structure):
+class BackdropRequest(KernelRequest):
     """`model::BackdropRequest`."""
 
+    KERNEL, RETURNS = "put_before", None
     _fields_ = (("pixels", c_int64), *((name, c_void_p) for name in ("alphas", "backdrop", "renders")))
 
 
@@ -126,9 +132,10 @@ class ObservedView(ctypes.Structure):
     )
 
 
-class ObserveRequest(ctypes.Structure):
+class ObserveRequest(KernelRequest):
     """`model::ObserveRequest`."""
 
+    KERNEL = "observe"
     _fields_ = (
         *((name, c_int32) for name in ("count", "threads")),
         ("rules", ctypes.POINTER(ObserveRules)),
@@ -145,9 +152,10 @@ class SampledImage(ctypes.Structure):
     )
 
 
-class RatioRequest(ctypes.Structure):
+class RatioRequest(KernelRequest):
     """`model::RatioRequest`."""
 
+    KERNEL = "ratios"
     _fields_ = (
         ("image", SampledImage),
         *((name, c_float) for name in ("darkest", "brightest")),
@@ -155,9 +163,10 @@ class RatioRequest(ctypes.Structure):
     )
 
 
-class RestRequest(ctypes.Structure):
+class RestRequest(KernelRequest):
     """`model::RestRequest`."""
 
+    KERNEL, RETURNS = "remember", None
     _fields_ = (
         ("image", SampledImage),
         *((name, c_float) for name in ("slack", "uptake")),
@@ -174,9 +183,10 @@ class HeldView(ctypes.Structure):
     )
 
 
-class HeldRequest(ctypes.Structure):
-    """`model::HeldRequest`; views and threads are filled in by who asks for it."""
+class HeldRequest(KernelRequest):
+    """`model::HeldRequest`."""
 
+    KERNEL = "held"
     _fields_ = (
         ("points", c_int64),
         *((name, c_int32) for name in ("skirt", "around", "count", "threads")),
@@ -193,9 +203,10 @@ class OccluderView(ctypes.Structure):
     )
 
 
-class OccluderRequest(ctypes.Structure):
-    """`model::OccluderRequest`; the views are filled in by who asks for it."""
+class OccluderRequest(KernelRequest):
+    """`model::OccluderRequest`."""
 
+    KERNEL = "occluders"
     _fields_ = (
         *((name, c_int64) for name in ("standing", "points")),
         *((name, c_int32) for name in ("cell_px", "view_count")),
@@ -204,9 +215,10 @@ class OccluderRequest(ctypes.Structure):
     )
 
 
-class DampedRequest(ctypes.Structure):
+class DampedRequest(KernelRequest):
     """`model::DampedRequest`."""
 
+    KERNEL, RETURNS = "take_damped", None
     _fields_ = (
         ("count", c_int64),
         ("standing", c_int32),
@@ -217,9 +229,10 @@ class DampedRequest(ctypes.Structure):
     )
 
 
-class CompareRequest(ctypes.Structure):
+class CompareRequest(KernelRequest):
     """`model::CompareRequest`."""
 
+    KERNEL = "compare"
     _fields_ = (
         *((name, c_int64) for name in ("pixels", "labels")),
         *((name, c_int32) for name in ("width", "height", "threads")),
@@ -228,9 +241,10 @@ class CompareRequest(ctypes.Structure):
     )
 
 
-class SmoothRequest(ctypes.Structure):
+class SmoothRequest(KernelRequest):
     """`model::SmoothRequest`."""
 
+    KERNEL = "smooth"
     _fields_ = (
         *((name, c_int64) for name in ("height", "width", "labels")),
         ("threads", c_int32),
@@ -255,9 +269,10 @@ class DeathView(ctypes.Structure):
     )
 
 
-class RefutedRequest(ctypes.Structure):
+class RefutedRequest(KernelRequest):
     """`model::RefutedRequest`."""
 
+    KERNEL = "refute"
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("view_count", "threads")),
@@ -267,9 +282,10 @@ class RefutedRequest(ctypes.Structure):
     )
 
 
-class StaticRequest(ctypes.Structure):
+class StaticRequest(KernelRequest):
     """`model::StaticRequest`."""
 
+    KERNEL = "judge"
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("view_count", "threads")),

@@ -104,7 +104,7 @@ class Step:
         held = [of.contiguous() for of in (*drawn, *vars(missed.pull).values())]
         pointers = (of.data_ptr() for of in (*held, g.alive, g.tiers, g.ids, g.largest, g.values, refused))
         shares = (SHAPE_SHARE, COLOUR_SHARE, FEWEST_PIXELS, LONGEST, SMALLEST)
-        library.take_damped(DampedRequest(len(self._rows), int(Tier.STATIC), *shares, *pointers))
+        library.run(DampedRequest(len(self._rows), int(Tier.STATIC), *shares, *pointers))
         g.refused += int(refused)
 
     def take_reference(self) -> None:

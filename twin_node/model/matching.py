@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin_node.model.kernel_requests import CompareRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.rays import look
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Camera, Float32, Float64
 
 COLOUR_SIGMA = 0.06
@@ -87,7 +87,7 @@ def compared(one: Sight, other: Sight, reach: Float64, shares: Float64) -> tuple
     colours = [np.ascontiguousarray(rgb, np.float32) for rgb in (one.rgb, other.rgb)]
     valid = np.ascontiguousarray(other.valid)
     given = addresses_of(*doubles, *colours, valid, apart, at)
-    compiled.compare(CompareRequest(one.base.size, len(shares), camera.width, camera.height, 1, *given))
+    compiled.run(CompareRequest(one.base.size, len(shares), camera.width, camera.height, thread_count(), *given))
     return apart, at
 
 

@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
-import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_void_p
 
+from twin_node.native_library import KernelRequest
 
-class AdvanceRequest(ctypes.Structure):
+
+class AdvanceRequest(KernelRequest):
     """`model::AdvanceRequest`."""
 
+    KERNEL, RETURNS = "advance", None
     _fields_ = (
         *((name, c_int64) for name in ("times", "nodes")),
         *((name, c_void_p) for name in ("seconds", "positions", "quats", "velocities", "turns", "advanced", "rotated")),
     )
 
 
-class MovedRequest(ctypes.Structure):
+class MovedRequest(KernelRequest):
     """`model::MovedRequest`."""
 
+    KERNEL, RETURNS = "moved", None
     _fields_ = (
         ("nodes", c_int64),
         *((name, c_void_p) for name in ("positions", "quats", "positions_then", "quats_then", "moved")),
     )
 
 
-class CarryRequest(ctypes.Structure):
+class CarryRequest(KernelRequest):
     """`model::CarryRequest`."""
 
+    KERNEL, RETURNS = "carry", None
     _fields_ = (
         *((name, c_int64) for name in ("times", "nodes")),
         *((name, c_void_p) for name in ("positions", "quats", "turns", "shifts", "products")),
     )
 
 
-class PublishRequest(ctypes.Structure):
+class PublishRequest(KernelRequest):
     """`model::PublishRequest`; of `model::NodesNow` the fields."""
 
+    KERNEL, RETURNS = "publish", None
     _fields_ = (
         ("count", c_int64),
         ("threads", c_int32),
@@ -46,18 +51,20 @@ class PublishRequest(ctypes.Structure):
     )
 
 
-class ExtentRequest(ctypes.Structure):
+class ExtentRequest(KernelRequest):
     """`model::ExtentRequest`."""
 
+    KERNEL, RETURNS = "extents", None
     _fields_ = (
         *((name, c_int64) for name in ("count", "nodes")),
         *((name, c_void_p) for name in ("rows", "carriers", "values", "centroids", "weights", "radii")),
     )
 
 
-class CellRequest(ctypes.Structure):
+class CellRequest(KernelRequest):
     """`model::CellRequest`."""
 
+    KERNEL = "cells"
     _fields_ = (
         *((name, c_int64) for name in ("count", "axis_bits")),
         ("side", c_double),
@@ -66,9 +73,10 @@ class CellRequest(ctypes.Structure):
     )
 
 
-class CreepRequest(ctypes.Structure):
+class CreepRequest(KernelRequest):
     """`model::CreepRequest`."""
 
+    KERNEL = "creep"
     _fields_ = (
         *((name, c_int64) for name in ("count", "cells", "capacity")),
         *((name, c_void_p) for name in ("rows", "ids", "values", "of", "homes")),
@@ -76,18 +84,20 @@ class CreepRequest(ctypes.Structure):
     )
 
 
-class SumRequest(ctypes.Structure):
+class SumRequest(KernelRequest):
     """`model::SumRequest`."""
 
+    KERNEL, RETURNS = "add_up", None
     _fields_ = (
         *((name, c_int64) for name in ("count", "width")),
         *((name, c_void_p) for name in ("owners", "values", "sums")),
     )
 
 
-class JudgeRequest(ctypes.Structure):
+class JudgeRequest(KernelRequest):
     """`model::JudgeRequest`."""
 
+    KERNEL, RETURNS = "judge_velocities", None
     _fields_ = (
         ("count", c_int64),
         *((name, c_void_p) for name in ("scale", "H", "g", "squares", "points")),
@@ -95,21 +105,24 @@ class JudgeRequest(ctypes.Structure):
     )
 
 
-class VelocityRequest(ctypes.Structure):
+class VelocityRequest(KernelRequest):
     """`model::VelocityRequest`."""
 
+    KERNEL, RETURNS = "solve_velocities", None
     _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("scale", "H", "g", "points", "velocities")))
 
 
-class MoveRequest(ctypes.Structure):
+class MoveRequest(KernelRequest):
     """`model::MoveRequest`."""
 
+    KERNEL, RETURNS = "move_velocities", None
     _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("H", "g", "points", "moved_H", "moved_g")))
 
 
-class NewbornRequest(ctypes.Structure):
+class NewbornRequest(KernelRequest):
     """`model::NewbornRequest`."""
 
+    KERNEL, RETURNS = "store_newborns", None
     _fields_ = (
         *((name, c_int64) for name in ("count", "nodes", "room", "first_id", "stamp")),
         *((name, c_float) for name in ("logit", "growth")),
@@ -121,24 +134,27 @@ class NewbornRequest(ctypes.Structure):
     )
 
 
-class NearestRequest(ctypes.Structure):
+class NearestRequest(KernelRequest):
     """`model::NearestRequest`."""
 
+    KERNEL, RETURNS = "nearest", None
     _fields_ = (
         *((name, c_int64) for name in ("places", "owns", "width")),
         *((name, c_void_p) for name in ("at", "own", "found")),
     )
 
 
-class GroupRequest(ctypes.Structure):
+class GroupRequest(KernelRequest):
     """`model::GroupRequest`."""
 
+    KERNEL, RETURNS = "group", None
     _fields_ = (("places", c_int64), ("width", c_int64), ("at", c_void_p), ("groups", c_void_p))
 
 
-class PixelsRequest(ctypes.Structure):
+class PixelsRequest(KernelRequest):
     """`model::PixelsRequest`."""
 
+    KERNEL, RETURNS = "find_pixels", None
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("width", "height")),
@@ -147,9 +163,10 @@ class PixelsRequest(ctypes.Structure):
     )
 
 
-class MotionRequest(ctypes.Structure):
+class MotionRequest(KernelRequest):
     """`model::MotionRequest`."""
 
+    KERNEL, RETURNS = "gather_motion", None
     _fields_ = (
         ("count", c_int64),
         *((name, c_int32) for name in ("width", "height")),

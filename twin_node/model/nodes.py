@@ -175,7 +175,7 @@ class Nodes:
             return self.moved_reference()
         moved = torch.empty(self.capacity, 6, dtype=torch.float64)
         held = [t.contiguous() for t in (self.positions, self.quats, self._begun_positions, self._begun_quats)]
-        library.moved(MovedRequest(self.capacity, *(t.data_ptr() for t in (*held, moved))))
+        library.run(MovedRequest(self.capacity, *(t.data_ptr() for t in (*held, moved))))
         return moved
 
     def moved_reference(self) -> Tensor:
@@ -227,7 +227,7 @@ def advanced(positions: Tensor, quats: Tensor, velocities: Tensor, turns: Tensor
     count = positions.shape[0]
     written = [torch.empty(len(seconds), count, width, dtype=torch.float64) for width in (3, 4)]
     pointers = (tensor.data_ptr() for tensor in (*given, *written))
-    library.advance(AdvanceRequest(len(seconds), count, address_of(times), *pointers))
+    library.run(AdvanceRequest(len(seconds), count, address_of(times), *pointers))
     return Poses(*written)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,9 @@ import cv2
 import numpy as np
 
 from twin_node.model.backgrounds import Background, grow
-from twin_node.model.kernel_requests import ObservedView, ObserveRules
+from twin_node.model.kernel_requests import ObservedView, ObserveRequest, ObserveRules
 from twin_node.model.kernels import kernels
-from twin_node.native_library import addresses_of
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
 MISFIT_GROWTH = 0.02
@@ -148,9 +149,10 @@ def compare(views: Sequence[Pixels], rules: Comparing) -> list[Compared]:
     library = kernels()
     if library is None:
         return [compare_reference(one, rules) for one in views]
-    given = ObserveRules(rules.threshold, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first)
+    given = ctypes.pointer(ObserveRules(rules.threshold, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first))
     calls = [_Call(one) for one in views]
-    library.observe(given, [call.view for call in calls])
+    asked = array_of(ObservedView, [call.view for call in calls])
+    library.run(ObserveRequest(len(calls), thread_count(), given, asked))
     return [call.found for call in calls]
 
 

@@ -12,7 +12,7 @@ from twin_node.model.backgrounds import CELL_PX, Background, cells_at, cells_sha
 from twin_node.model.kernel_requests import OccluderRequest, OccluderView
 from twin_node.model.kernels import kernels
 from twin_node.model.rays import look
-from twin_node.native_library import address_of, addresses_of
+from twin_node.native_library import address_of, addresses_of, array_of
 from twin_node.scene import Bool
 
 
@@ -33,7 +33,8 @@ def occluders(backgrounds: Sequence[Background], moving: NDArray[np.float32]) ->
         for one, arrays in zip(backgrounds, given, strict=True)
     ]
     before = np.empty(len(backgrounds[0].cells), bool)
-    library.occluders(OccluderRequest(len(before), moving.shape[1], CELL_PX, 0, None, address_of(before)), views)
+    sizes = (len(before), moving.shape[1], CELL_PX, len(views))
+    library.run(OccluderRequest(*sizes, array_of(OccluderView, views), address_of(before)))
     return before
 
 

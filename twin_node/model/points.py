@@ -66,7 +66,7 @@ def find_pixels(
     given = [np.ascontiguousarray(a, dtype=np.float64) for a in (points, viewmat, K)]
     spheres = None if radii is None else np.ascontiguousarray(radii, dtype=np.float32)
     found = (pixels.columns, pixels.rows, pixels.depths, pixels.inside)
-    library.find_pixels(PixelsRequest(count, width, height, *addresses_of(*given, *found, spheres, pixels.reached)))
+    library.run(PixelsRequest(count, width, height, *addresses_of(*given, *found, spheres, pixels.reached)))
     return pixels
 
 
@@ -145,7 +145,7 @@ def gather_motion(carried: Carried, seen: Seen, weighing: Weighing, to: Equation
     images = [np.ascontiguousarray(a, dtype=np.float32) for a in (seen.shown, seen.image, seen.flow)]
     depth = None if seen.depth is None else np.ascontiguousarray(seen.depth, dtype=np.float32)
     height, width = seen.counted.shape
-    library.gather_motion(
+    library.run(
         MotionRequest(
             len(carriers),
             width,

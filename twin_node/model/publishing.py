@@ -43,7 +43,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     )
     written = addresses_of(*vars(cloud).values())
     pointers = (tensor.data_ptr() for tensor in given)
-    library.publish(PublishRequest(count, thread_count(), *pointers, *written))
+    library.run(PublishRequest(count, thread_count(), *pointers, *written))
     return cloud
 
 
@@ -131,7 +131,7 @@ def extents_of(gaussians: Gaussians, nodes: Nodes) -> Extents:
     rows, capacity = gaussians.moving_rows, nodes.capacity
     centroids, weights, radii = (torch.empty(capacity, width, dtype=torch.float64) for width in (3, 1, 1))
     held = (rows, gaussians.nodes, gaussians.values, centroids, weights, radii)
-    library.extents(ExtentRequest(len(rows), capacity, *(tensor.data_ptr() for tensor in held)))
+    library.run(ExtentRequest(len(rows), capacity, *(tensor.data_ptr() for tensor in held)))
     return Extents(centroids, radii[:, 0])
 
 

@@ -60,7 +60,7 @@ class Remembered:
         given = [np.ascontiguousarray(array, np.float32) for array in (self.samples, exposure.gains, exposure.offsets)]
         found, middle = np.empty(2, np.int64), np.empty(3, np.float32)
         image = SampledImage(self.shape[1], self.shape[0], self.stride, *addresses_of(*held))
-        library.ratios(RatioRequest(image, DARKEST, SATURATED * QUANTUM, *addresses_of(*given, found, middle)))
+        library.run(RatioRequest(image, DARKEST, SATURATED * QUANTUM, *addresses_of(*given, found, middle)))
         return Ratios(int(found[0]), middle if found[1] >= FEWEST else None)
 
     def ratios_reference(self, rgb: UInt8, still: Bool, exposure: Exposure) -> Ratios:
@@ -81,7 +81,7 @@ class Remembered:
             return
         held = [np.ascontiguousarray(array) for array in (rgb, still)]
         image = SampledImage(self.shape[1], self.shape[0], self.stride, *addresses_of(*held))
-        library.remember(RestRequest(image, SLACK, UPTAKE, *addresses_of(self.newest, self.samples)))
+        library.run(RestRequest(image, SLACK, UPTAKE, *addresses_of(self.newest, self.samples)))
 
     def take_reference(self, rgb: UInt8, still: Bool) -> None:
         """The same in NumPy: the reference of the compiled kernel."""

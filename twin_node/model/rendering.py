@@ -176,7 +176,7 @@ def put_before(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
     if library is None or renders.requires_grad or renders.device.type != "cpu":
         return put_before_reference(renders, alphas, backdrop)
     held = (alphas.contiguous(), backdrop.contiguous(), renders)
-    library.put_before(BackdropRequest(alphas.numel(), *(t.data_ptr() for t in held)))
+    library.run(BackdropRequest(alphas.numel(), *(t.data_ptr() for t in held)))
     return renders
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin_node.model.kernel_requests import SmoothRequest
 from twin_node.model.kernels import Kernels, kernels
-from twin_node.native_library import address_of
+from twin_node.native_library import address_of, thread_count
 from twin_node.scene import Float32
 
 STEP_COST, JUMP_COST = 0.25, 1.5
@@ -30,7 +30,7 @@ def _smoothed_compiled(compiled: Kernels, costs: Float32, image: Float32) -> Flo
     costs, image = (np.ascontiguousarray(field, np.float32) for field in (costs, image))
     pairs, out = np.empty((4, *costs.shape), np.float32), np.empty_like(costs)
     given = (address_of(field) for field in (costs, image, pairs, out))
-    compiled.smooth(SmoothRequest(*costs.shape, 1, STEP_COST, JUMP_COST, EDGE, *given))
+    compiled.run(SmoothRequest(*costs.shape, thread_count(), STEP_COST, JUMP_COST, EDGE, *given))
     return out
 
 

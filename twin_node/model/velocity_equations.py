@@ -84,7 +84,7 @@ class VelocityEquations:
             return self.about_reference(points)
         H, g, at = (np.ascontiguousarray(values, np.float64) for values in (self.H, self.g, points))
         own = VelocityEquations(np.empty_like(H), np.empty_like(g), self.squares, self.counts)
-        library.move_velocities(MoveRequest(len(self), *addresses_of(H, g, at, own.H, own.g)))
+        library.run(MoveRequest(len(self), *addresses_of(H, g, at, own.H, own.g)))
         return own
 
     def about_reference(self, points: Float64) -> VelocityEquations:
@@ -172,7 +172,7 @@ def judge(said: VelocityEquations, points: Float64) -> Judged:
         return judge_reference(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (USUAL, said.H, said.g, said.squares, points)]
     judged = Judged(*np.empty((5, len(said))))
-    library.judge_velocities(JudgeRequest(len(said), *addresses_of(*given, *vars(judged).values())))
+    library.run(JudgeRequest(len(said), *addresses_of(*given, *vars(judged).values())))
     return judged
 
 
@@ -216,7 +216,7 @@ def velocities_of(said: VelocityEquations, points: Float64) -> Float64:
         return velocities_reference(said, points)
     given = [np.ascontiguousarray(values, np.float64) for values in (LOOSE, said.H, said.g, points)]
     velocities = np.empty((len(said), PARAMETERS))
-    library.solve_velocities(VelocityRequest(len(said), *addresses_of(*given, velocities)))
+    library.run(VelocityRequest(len(said), *addresses_of(*given, velocities)))
     return velocities
 
 
@@ -233,7 +233,7 @@ def add_up(values: Float64, owners: NDArray[np.int64], sums: Float64) -> None:
         np.add.at(sums, owners, values)
         return
     given, whose = np.ascontiguousarray(values, np.float64), np.ascontiguousarray(owners, np.int64)
-    library.add_up(SumRequest(len(whose), given[:1].size, *addresses_of(whose, given, sums)))
+    library.run(SumRequest(len(whose), given[:1].size, *addresses_of(whose, given, sums)))
 
 
 def _shift(points: Float64) -> Float64:

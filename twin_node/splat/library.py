@@ -14,6 +14,7 @@ from pathlib import Path
 
 from twin_node import native_build
 from twin_node.native_library import (
+    KernelRequest,
     NativeLibrary,
     best_or_none,
     is_told,
@@ -71,10 +72,11 @@ class MissRequest(ctypes.Structure):
     )
 
 
-class LossRequest(ctypes.Structure):
+class LossRequest(KernelRequest):
     """`splat::LossRequest`."""
 
     __slots__ = ()
+    KERNEL = "image_loss"
     _fields_ = (
         *((name, c_int32) for name in ("images", "height", "width", "channels", "threads")),
         *((name, c_float) for name in ("l1", "ssim", "depth_weight")),
@@ -101,10 +103,11 @@ class DescentRequest(ctypes.Structure):
     )
 
 
-class PlaceRequest(ctypes.Structure):
+class PlaceRequest(KernelRequest):
     """`splat::PlaceRequest`."""
 
     __slots__ = ()
+    KERNEL, RETURNS = "place", None
     _fields_ = (
         *((name, c_int64) for name in ("count", "times", "nodes")),
         ("threads", c_int32),
@@ -149,8 +152,6 @@ class SplatLibrary(NativeLibrary):
         self._dll.splat_descend.argtypes = [c_void_p, ctypes.POINTER(DescentRequest)]
         self._dll.splat_add_missed.argtypes = [c_void_p, ctypes.POINTER(MissRequest)]
         self._dll.splat_weigh.argtypes = [c_void_p, ctypes.POINTER(Request), c_void_p]
-        self._declare(c_int32, image_loss=LossRequest)
-        self._declare(None, place=PlaceRequest)
 
     def acquire(self) -> int:
         """A workspace's handle. Raises `MemoryError`."""
@@ -176,9 +177,8 @@ class SplatLibrary(NativeLibrary):
         _check(self._dll.splat_backward(workspace.handle, request, gradients))
 
     def image_loss(self, request: LossRequest) -> None:
-        """Writes the loss and its gradient. Raises `MemoryError`."""
-        self._require_not_forked()
-        _check(self._dll.splat_image_loss(request))
+        """Writes the loss and its gradient. Raises `NonFiniteError` or `MemoryError`."""
+        _check(self.call(request))
 
     def add_missed(self, workspace: Workspace, request: MissRequest) -> None:
         """Adds what a view misses. Raises `NonFiniteError` as `forward`, `ValueError` or `MemoryError`."""
@@ -194,11 +194,6 @@ class SplatLibrary(NativeLibrary):
         """Takes steps of Adam. Raises `NonFiniteError` as `image_loss`, `ValueError` or `MemoryError`."""
         self._require_not_forked()
         _check(self._dll.splat_descend(workspace.handle, request))
-
-    def place(self, request: PlaceRequest) -> None:
-        """Carries Gaussians to where they are drawn."""
-        self._require_not_forked()
-        self._dll.splat_place(request)
 
 
 def _check(status: int) -> None:

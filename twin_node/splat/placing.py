@@ -61,5 +61,5 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     pointers = (tensor.data_ptr() for tensor in tensors)
     chosen = None if rows is None else rows.contiguous()
     row_pointer = None if chosen is None else chosen.data_ptr()
-    library.place(native.PlaceRequest(count, times, nodes, thread_count(), row_pointer, *pointers))
+    library.run(native.PlaceRequest(count, times, nodes, thread_count(), row_pointer, *pointers))
     return placed

@@ -86,16 +86,16 @@ int32_t forecast_gather(const forecast::GatherRequest *request) {
   return guarded([&] { forecast::gather(*request); });
 }
 
-int32_t forecast_see(const forecast::SeeRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::see(views[i]); }); });
+int32_t forecast_see(const forecast::Views<forecast::SeeRequest> *all) {
+  return guarded([&] { parallel_for(all->threads, all->count, [&](int64_t i) { forecast::see(all->views[i]); }); });
 }
 
-int32_t forecast_show(const forecast::ShowRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::show(views[i]); }); });
+int32_t forecast_show(const forecast::Views<forecast::ShowRequest> *all) {
+  return guarded([&] { parallel_for(all->threads, all->count, [&](int64_t i) { forecast::show(all->views[i]); }); });
 }
 
-int32_t forecast_tell(const forecast::TellRequest *views, int64_t count, int32_t threads) {
-  return guarded([&] { parallel_for(threads, count, [&](int64_t i) { forecast::tell(views[i]); }); });
+int32_t forecast_tell(const forecast::Views<forecast::TellRequest> *all) {
+  return guarded([&] { parallel_for(all->threads, all->count, [&](int64_t i) { forecast::tell(all->views[i]); }); });
 }
 
 void forecast_solve(const forecast::SolveRequest *request) { forecast::solve(*request); }

@@ -38,6 +38,13 @@ struct GatherRequest {
   int64_t *count;          // [1] things
 };
 
+// The same asked of some views, side by side.
+template <class View>
+struct Views {
+  int32_t count, threads;
+  const View *views;
+};
+
 // One image of what moves: what it is compared by with the image before.
 struct SeeRequest {
   int32_t width, height, painted, smallest;  // brightness of all that does not move; pixels of the smallest blob
