@@ -274,7 +274,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     from twin_node.nodes.clock_steps import camera_clock_steps
     from twin_node.nodes.log_source import LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
-    from twin_node.rig.calibrate.clocks import ClockParameters, calibrate_clocks
+    from twin_node.rig.calibrate.clocks import calibrate_clocks
     from twin_node.rig.evidence import CameraEvidence
     from twin_node.robot import arm_model
 
@@ -286,7 +286,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
     source = LogSource(session, parameters, arm.joint_names if arm else ())
     sets = tqdm(source, unit="set", desc="time", disable=None)
-    result = calibrate_clocks(source.cameras, sets, arm, ClockParameters(options.max_offset))
+    result = calibrate_clocks(source.cameras, sets, arm, options.max_offset)
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"
         + ("" if clock.certain else ", not more than it may be wrong by: left as it is")

@@ -15,7 +15,7 @@ from twin_node.geometry import project
 from twin_node.rig import RigError
 from twin_node.rig.calibrate.arm_features import ArmClock
 from twin_node.rig.calibrate.arm_motion import Film
-from twin_node.rig.calibrate.clocks import CameraClock, ClockParameters, _by_features, calibrate_clocks
+from twin_node.rig.calibrate.clocks import CameraClock, _by_features, calibrate_clocks
 from twin_node.rig.calibrate.shifts import Costs, best_shift
 from twin_node.robot import arm_model
 from twin_node.scene import Camera, FrameSet, RigCamera, View
@@ -35,14 +35,14 @@ def costs(offset_s: float, ppm: float = 0.0, noise: float = 0.0, seconds: float 
 @given(offset_ms=st.floats(-80, 80), ppm=st.floats(-100, 100))
 @settings(max_examples=30, deadline=None)
 def test_the_lowest_cost_is_found_between_the_steps(offset_ms: float, ppm: float) -> None:
-    shift = best_shift(costs(offset_ms / 1e3, ppm), window_s=5.0)
+    shift = best_shift(costs(offset_ms / 1e3, ppm))
     assert shift is not None
     assert shift.offset_ns == pytest.approx(offset_ms * 1e6, abs=2e4)
     assert shift.rate_ppm == pytest.approx(ppm, abs=1)
 
 
 def test_the_stated_error_grows_with_the_noise() -> None:
-    quiet, noisy = (best_shift(costs(0.01, noise=noise), window_s=5.0) for noise in (0.001, 0.02))
+    quiet, noisy = (best_shift(costs(0.01, noise=noise)) for noise in (0.001, 0.02))
     assert quiet is not None
     assert noisy is not None
     assert quiet.sigma_ns < 200_000 < noisy.sigma_ns
@@ -50,11 +50,11 @@ def test_the_stated_error_grows_with_the_noise() -> None:
 
 
 def test_an_offset_beyond_what_was_tried_is_not_told() -> None:
-    assert best_shift(costs(0.2), window_s=5.0) is None
+    assert best_shift(costs(0.2)) is None
 
 
 def test_a_short_recording_tells_no_rate() -> None:
-    shift = best_shift(costs(0.0, seconds=12.0), window_s=5.0)
+    shift = best_shift(costs(0.0, seconds=12.0))
     assert shift is not None
     assert shift.rate_ppm is None
 
@@ -80,9 +80,7 @@ def cameras(recording: tuple[FrameSet, ...]) -> tuple[Camera, ...]:
 def test_a_camera_is_timed_against_the_arm(recording: tuple[FrameSet, ...]) -> None:
     found = []
     for late_ms in (0.0, 37.0):
-        result = calibrate_clocks(
-            cameras(recording), edited(recording, late_ms), arm_model("ur5e"), ClockParameters(max_offset_s=0.05)
-        )
+        result = calibrate_clocks(cameras(recording), edited(recording, late_ms), arm_model("ur5e"), max_offset_s=0.05)
         clock = result.cameras[0]
         assert clock.sigma_ns < 2_000_000
         assert abs(clock.offset_ns / 1e6 + late_ms) < min(2.0, 3.5 * clock.sigma_ns / 1e6)
@@ -121,7 +119,7 @@ def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) 
     first = recording[0].views[0].rgb
     frozen = [replace(f, views=tuple(replace(v, rgb=first) for v in f.views)) for f in recording[:40]]
     with pytest.raises(RigError, match=rf"camera {recording[0].views[0].camera.name}: expected"):
-        calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), ClockParameters(max_offset_s=0.05))
+        calibrate_clocks(cameras(recording), frozen, arm_model("ur5e"), max_offset_s=0.05)
     with pytest.raises(RigError, match="expected at least 20 images"):
         calibrate_clocks(cameras(recording), recording[:5], arm_model("ur5e"))
 

@@ -8,7 +8,7 @@ from scipy.optimize import approx_fprime
 
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.match_adjustment import AdjustParameters, MatchProblem
+from twin_node.rig.calibrate.match_adjustment import MatchProblem
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.scene import RigCamera
 
@@ -46,7 +46,7 @@ def test_derivatives_are_those_of_the_residuals(model: str, with_plane: bool) ->
         noisy = [pixels + rng.normal(0, 0.5, pixels.shape) for pixels in seen]
         noisy[0][0] = ABOVE_HORIZON
         matches.append(Matches(a, b, noisy[0], noisy[1], on_plane))
-    problem = MatchProblem(cameras, plane if with_plane else None, matches, AdjustParameters())
+    problem = MatchProblem(cameras, plane if with_plane else None, matches)
     for x in (np.zeros(problem.size), rng.normal(0, 0.5, problem.size)):
         numeric = approx_fprime(x, problem.residuals, 1e-6)
         exact = problem.jacobian(x)

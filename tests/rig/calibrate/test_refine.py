@@ -20,7 +20,7 @@ from twin_node.rig.calibrate.birds_eye import Sheet, plane_hits
 from twin_node.rig.calibrate.ground_matches import DISTINCT_PX, agreed_map, measured
 from twin_node.rig.calibrate.lens import raw_pixels
 from twin_node.rig.calibrate.matches import epipolar_px, feature_matches
-from twin_node.rig.calibrate.refine import RefineParameters, RefineResult, refine_rig
+from twin_node.rig.calibrate.refine import DISTINCT, RefineResult, refine_rig
 from twin_node.rig.calibrate.stills import Still, stills_of
 from twin_node.scene import Float64, FrameSet, Rig, RigCamera, View
 
@@ -222,7 +222,7 @@ def test_the_odd_holes_tell_where_a_perforated_table_fits() -> None:
     image = holes(odd=True)
     agreed = agreed_map(shifted(image, 0, 0), shifted(image, 14.3, -9.6))
     assert agreed is not None
-    assert agreed.distinctness > RefineParameters().distinct
+    assert agreed.distinctness > DISTINCT
     found = measured(shifted(image, 0, 0), shifted(image, 14.3, -9.6), agreed.affine)
     assert len(found.a) > 100
     np.testing.assert_allclose(np.median(found.b - found.a, axis=0), [14.3, -9.6], atol=0.1)
@@ -232,7 +232,7 @@ def test_holes_that_are_all_alike_tell_nothing() -> None:
     image = holes(odd=False)
     agreed = agreed_map(shifted(image, 0, 0), shifted(image, 14.3, -9.6))
     assert agreed is not None
-    assert agreed.distinctness < RefineParameters().distinct
+    assert agreed.distinctness < DISTINCT
     assert DISTINCT_PX < 11  # one pitch away is another place
 
 

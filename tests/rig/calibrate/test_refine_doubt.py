@@ -15,7 +15,7 @@ from twin_node.bench.calibration import differences, laid_over
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.lens import raw_pixels
 from twin_node.rig.calibrate.lenses import lens_of, project
-from twin_node.rig.calibrate.match_adjustment import AdjustParameters, adjust_matches
+from twin_node.rig.calibrate.match_adjustment import adjust_matches
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.rig.calibrate.refine_doubt import doubt_of, witnesses_of
 from twin_node.rig.calibrate.rotations import cross_matrix
@@ -77,7 +77,7 @@ def test_what_is_stated_holds_on_a_plane_and_off_it(on_plane: bool) -> None:
         truth = a_rig(rng)
         matches = matched(truth, on_plane, rng)
         given = [given_for(camera, rng) for camera in truth]
-        now = adjust_matches(given, TABLE if on_plane else None, matches, AdjustParameters())
+        now = adjust_matches(given, TABLE if on_plane else None, matches)
         assert now.covariance is not None
         witnesses = witnesses_of(now.cameras, matches)
         doubt = doubt_of(now.cameras, now.covariance, witnesses)
@@ -93,7 +93,7 @@ def test_what_is_stated_holds_on_a_plane_and_off_it(on_plane: bool) -> None:
 
 def test_cameras_without_matches_are_as_open_as_they_were_given() -> None:
     cameras = a_rig(np.random.default_rng(0))
-    now = adjust_matches(cameras, None, [], AdjustParameters())
+    now = adjust_matches(cameras, None, [])
     assert now.covariance is not None
     doubt = doubt_of(now.cameras, now.covariance, np.zeros((0, 3)))
     np.testing.assert_allclose(np.sqrt(np.diag(now.covariance)[:6]), [np.radians(1.0)] * 3 + [0.01] * 3)

@@ -39,18 +39,10 @@ FLOW_SIGMA_NS = 4_000_000
 BARCODE_SIGMA_NS = 15_000_000
 """1 sigma of what outlines seen from different sides are off by, however long the recording: measured on simulated
 cells with known clocks."""
-
-
-@dataclass(frozen=True)
-class ClockParameters:
-    """What is sought."""
-
-    max_offset_s: float = 0.15
-    """Largest offset, s."""
-    least_contrast: float = 0.02
-    """How much worse than the best the middling shift must fit for a pair to tell anything."""
-    window_s: float = 5.0
-    """Offsets of windows this long tell the rate, s."""
+MAX_OFFSET_S = 0.15
+"""Largest offset that is sought unless told otherwise, s."""
+LEAST_CONTRAST = 0.02
+"""How much worse than the best the middling shift must fit for a pair to tell anything."""
 
 
 @dataclass(frozen=True)
@@ -102,29 +94,30 @@ def calibrate_clocks(
     cameras: Sequence[Camera],
     sets: Iterable[FrameSet],
     arm: ArmModel | None = None,
-    parameters: ClockParameters | None = None,
+    max_offset_s: float = MAX_OFFSET_S,
 ) -> ClockResult:
     """Clock offsets of the cameras of `sets` from what moves: against the joints of `arm`, or without it each other.
 
+    Offsets of more than `max_offset_s` are not found.
+
     Raises `RigError` naming a camera that sees too little motion.
     """
-    parameters = parameters or ClockParameters()
     joints: list[JointSample] = []
     films = _films(cameras, sets, joints)
     if arm is not None:
         distinct = [s for i, s in enumerate(joints) if i == 0 or s.stamp > joints[i - 1].stamp]
-        return ClockResult(arm.name, _against_arm(arm, distinct, films, parameters))
-    return ClockResult(cameras[0].name, _against_each_other(films, parameters))
+        return ClockResult(arm.name, _against_arm(arm, distinct, films, max_offset_s))
+    return ClockResult(cameras[0].name, _against_each_other(films, max_offset_s))
 
 
 def _against_arm(
-    arm: ArmModel, joints: Sequence[JointSample], films: Sequence[Film], parameters: ClockParameters
+    arm: ArmModel, joints: Sequence[JointSample], films: Sequence[Film], max_offset_s: float
 ) -> tuple[CameraClock, ...]:
     clocks, rough = [], ArmCourse(arm, joints)
     for film in films:
-        costs = rough.costs(film, parameters.max_offset_s)
-        shift = None if costs is None else best_shift(costs, parameters.window_s)
-        if shift is None or shift.contrast < parameters.least_contrast:
+        costs = rough.costs(film, max_offset_s)
+        shift = None if costs is None else best_shift(costs)
+        if shift is None or shift.contrast < LEAST_CONTRAST:
             raise RigError(
                 f"camera {film.camera.name}: expected to see the arm move, found no motion that fits its joints; "
                 "record it moving fast and with changing speed where all cameras see it, and check the extrinsics"
@@ -160,7 +153,7 @@ def _middle(film: Film) -> int:
     return round(int(film.stamps[0] + film.stamps[-1]) / 2e9) * 1_000_000_000
 
 
-def _against_each_other(films: Sequence[Film], parameters: ClockParameters) -> tuple[CameraClock, ...]:
+def _against_each_other(films: Sequence[Film], max_offset_s: float) -> tuple[CameraClock, ...]:
     if len(films) < 2:
         raise RigError(
             f"camera {films[0].camera.name}: expected another camera or the arm to time it by, found neither"
@@ -172,10 +165,10 @@ def _against_each_other(films: Sequence[Film], parameters: ClockParameters) -> t
         costs = _barcode_costs(
             _Barcode(films[a].stamps, planes.sums(moving[a], 0)),
             _Barcode(films[b].stamps, planes.sums(moving[b], 1)),
-            parameters.max_offset_s,
+            max_offset_s,
         )
-        shift = None if costs is None else best_shift(costs, parameters.window_s)
-        if shift is not None and shift.contrast >= parameters.least_contrast:
+        shift = None if costs is None else best_shift(costs)
+        if shift is not None and shift.contrast >= LEAST_CONTRAST:
             edges.append(_Edge(a, b, shift))
     return _reconciled(films, edges)
 

@@ -22,24 +22,17 @@ MOST_SIGMAS = 1e4
 """Errors are cut off there: solvers may try cameras that see a match from behind."""
 POSE, LENS = 6, 3
 """Numbers per camera: rotation vector and translation; focal length and principal point."""
-
-
-@dataclass(frozen=True)
-class AdjustParameters:
-    """1 sigma of what each may be off by as given, and of the matches; 0 keeps a thing as it is."""
-
-    turn_deg: float = 1.0
-    move_m: float = 0.01
-    """Of a camera whose rig file does not say how well it is known."""
-    focal: float = 0.003
-    """Share of the focal length: what factory calibrations are wrong by."""
-    centre_px: float = 1.0
-    """Principal point, pixels of an image 480 wide; wider images in proportion."""
-    distortion: tuple[float, ...] = (0.1, 0.15, 0.003, 0.003)
-    """k1, k2, p1, p2 (k1 to k4 of a fisheye)."""
-    match_px: float = 3.0
-    """Of a match in an image 480 wide, in proportion in wider ones; errors beyond it count linearly. Each is found to a
-    fifth of a pixel, but hundreds on one plane err together: they would bend the lens to explain a ripple of it."""
+TURN_DEG, MOVE_M = 1.0, 0.01
+"""1 sigma of how a camera stands beside how it is said to; the latter where its rig file does not say how well."""
+FOCAL = 0.003
+"""1 sigma of the focal length, a share of it: what factory calibrations are wrong by."""
+CENTRE_PX = 1.0
+"""1 sigma of the principal point, pixels of an image 480 wide; wider images in proportion."""
+DISTORTION = (0.1, 0.15, 0.003, 0.003)
+"""1 sigma of k1, k2, p1, p2 (k1 to k4 of a fisheye)."""
+MATCH_PX = 3.0
+"""1 sigma of a match in an image 480 wide, in proportion in wider ones; errors beyond it count linearly. Each is found
+to a fifth of a pixel, but hundreds on one plane err together: they would bend the lens to explain a ripple of it."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +49,9 @@ class Adjusted:
     before anything was adjusted. What matches do not tell is as open as the rig given was."""
 
 
-def adjust_matches(
-    cameras: Sequence[RigCamera], plane: Float64 | None, matches: Sequence[Matches], parameters: AdjustParameters
-) -> Adjusted:
-    """The cameras and plane nearest to those given, in units of `parameters`, that explain the matches."""
-    problem = MatchProblem(tuple(cameras), plane, matches, parameters)
+def adjust_matches(cameras: Sequence[RigCamera], plane: Float64 | None, matches: Sequence[Matches]) -> Adjusted:
+    """The cameras and plane nearest to those given, in their own sigmas, that explain the matches."""
+    problem = MatchProblem(tuple(cameras), plane, matches)
     # LSMR: the dense solver's SVD of thousands of rows takes ten times as long as all the rest.
     solved = least_squares(
         problem.residuals,
@@ -82,17 +73,11 @@ def adjust_matches(
 class MatchProblem:
     """Unknowns are counted in their own sigmas, so that the prior is the vector itself."""
 
-    def __init__(
-        self,
-        cameras: tuple[RigCamera, ...],
-        plane: Float64 | None,
-        matches: Sequence[Matches],
-        parameters: AdjustParameters,
-    ) -> None:
+    def __init__(self, cameras: tuple[RigCamera, ...], plane: Float64 | None, matches: Sequence[Matches]) -> None:
         self._cameras, self._plane = cameras, plane
         self._matches = [pair for pair in matches if len(pair)]
-        self._match_px = [parameters.match_px * camera.width / 480 for camera in cameras]
-        self._sigmas = [_sigmas(camera, parameters) for camera in cameras]
+        self._match_px = [MATCH_PX * camera.width / 480 for camera in cameras]
+        self._sigmas = [_sigmas(camera) for camera in cameras]
         self._starts = np.cumsum([0] + [len(sigmas) for sigmas in self._sigmas])
         self.size = int(self._starts[-1]) + (3 if plane is not None else 0)
 
@@ -163,11 +148,11 @@ class MatchProblem:
         ]
 
 
-def _sigmas(camera: RigCamera, parameters: AdjustParameters) -> Float64:
-    move = max(camera.sigma_m, parameters.move_m / 2) if camera.sigma_m else parameters.move_m
-    turn = np.radians(parameters.turn_deg)
-    lens = [parameters.focal, *[parameters.centre_px * camera.width / 480] * 2]
-    return np.array([*[turn] * 3, *[move] * 3, *lens, *parameters.distortion], dtype=np.float64)
+def _sigmas(camera: RigCamera) -> Float64:
+    move = max(camera.sigma_m, MOVE_M / 2) if camera.sigma_m else MOVE_M
+    turn = np.radians(TURN_DEG)
+    lens = [FOCAL, *[CENTRE_PX * camera.width / 480] * 2]
+    return np.array([*[turn] * 3, *[move] * 3, *lens, *DISTORTION], dtype=np.float64)
 
 
 def _changed(camera: RigCamera, change: Float64) -> RigCamera:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from twin_node.rig.calibrate.birds_eye import ground_of, lay_flat
 from twin_node.rig.calibrate.depth_alignment import SurfacePair, align, surface_of
 from twin_node.rig.calibrate.ground_matches import agreed_map, measured
-from twin_node.rig.calibrate.match_adjustment import Adjusted, AdjustParameters, adjust_matches
+from twin_node.rig.calibrate.match_adjustment import Adjusted, adjust_matches
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
 from twin_node.rig.calibrate.refine_doubt import Doubt, doubt_of, witnesses_of
 from twin_node.rig.calibrate.stills import Still
@@ -26,30 +26,19 @@ LEAST_JUDGES = 8
 """Matches below which a pair of cameras is given no figures."""
 LEAST_SIGMA_M = 0.001
 """No rig is stated to be better than this: what medians of video leave."""
-
-
-@dataclass(frozen=True)
-class RefineParameters:
-    """How matches are found and what they may change."""
-
-    adjust: AdjustParameters = field(default_factory=AdjustParameters)
-    """What may change, and by how much."""
-    distinct: float = 1.08
-    """How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
-    least_matches: int = 24
-    """Matches that a pair of cameras must share to count as connected."""
-    turn_deg: float = 2.0
-    """1 sigma of the turn of cameras that measure depth: enough of their surroundings is seen to tell more than the
-    few points that others share."""
-    move_m: float = 0.03
-    """The same of their places."""
-    most_strain: float = 3.0
-    """A fit that changes any number by so many of its sigmas is not believed: a thing was taken for another."""
-    most_gap: float = 0.75
-    """Nor one that leaves cameras so far apart on the plane, in pixels of the ground: it was no plane, or another."""
-    gates_px: tuple[float, ...] = (16.0, 3.0)
-    """Epipolar distance up to which features are taken for matches, one per round: a better rig
-    shows the ground better."""
+DISTINCT = 1.08
+"""How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
+LEAST_MATCHES = 24
+"""Matches that a pair of cameras must share to count as connected."""
+TURN_DEG, MOVE_M = 2.0, 0.03
+"""1 sigma of the turns and places of cameras that measure depth: enough of their surroundings is seen to tell more than
+the few points that others share."""
+MOST_STRAIN = 3.0
+"""A fit that changes any number by so many of its sigmas is not believed: a thing was taken for another."""
+MOST_GAP = 0.75
+"""Nor one that leaves cameras so far apart on the plane, in pixels of the ground: it was no plane, or another."""
+GATES_PX = (16.0, 3.0)
+"""Epipolar distance up to which features are taken for matches, one per round: a better rig shows the ground better."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +76,7 @@ class RefineResult:
     """How cameras that measure depth agree; `pairs` is empty then."""
 
 
-def refine_rig(
-    rig: Rig, stills: Sequence[Still], plane: Float64 | None, parameters: RefineParameters | None = None
-) -> RefineResult:
+def refine_rig(rig: Rig, stills: Sequence[Still], plane: Float64 | None) -> RefineResult:
     """Poses, and lenses within their priors, that make what stands still agree; `plane` [4] holds much of it, or None.
 
     Cameras that all measure depth are aligned by their surfaces instead (`depth_alignment`).
@@ -98,19 +85,18 @@ def refine_rig(
 
     Raises `RigError` where the geometry cannot tell: it names the cameras and what was lacking.
     """
-    parameters = parameters or RefineParameters()
     if measured_by_depth(stills):
-        return _by_depth(rig, stills, parameters)
+        return _by_depth(rig, stills)
     features = feature_matches(stills)
     now = Adjusted(rig.cameras, plane)
     seen = _Seen((), (), 0.0)
-    for i, gate in enumerate(parameters.gates_px):
-        seen = _on_plane(stills, now, rig.workspace, parameters, aligned=i > 0)
+    for i, gate in enumerate(GATES_PX):
+        seen = _on_plane(stills, now, rig.workspace, aligned=i > 0)
         matches = [*seen.matches, *(_gated(pair, now.cameras, gate) for pair in features)]
-        _check_connected(rig.cameras, matches, parameters, seen.skipped)
-        now = adjust_matches(rig.cameras, plane, [_half(pair, 0) for pair in matches], parameters.adjust)
+        _check_connected(rig.cameras, matches, seen.skipped)
+        now = adjust_matches(rig.cameras, plane, [_half(pair, 0) for pair in matches])
     figures = _figures(rig, plane, now, [_half(pair, 1) for pair in matches])
-    _check_believable(now, figures, parameters, seen.pixel_m)
+    _check_believable(now, figures, seen.pixel_m)
     assert now.covariance is not None  # of what was adjusted
     doubt = doubt_of(now.cameras, now.covariance, witnesses_of(now.cameras, matches))
     refined = _with_sigmas(rig, now.cameras, figures, doubt)
@@ -122,13 +108,13 @@ def measured_by_depth(stills: Sequence[Still]) -> bool:
     return all(still.depth is not None for still in stills) and len(stills) > 1
 
 
-def _by_depth(rig: Rig, stills: Sequence[Still], parameters: RefineParameters) -> RefineResult:
+def _by_depth(rig: Rig, stills: Sequence[Still]) -> RefineResult:
     surfaces = [
         surface_of(camera, still.rgb, still.depth, still.still)
         for camera, still in zip(rig.cameras, stills, strict=True)
         if still.depth is not None
     ]
-    found = align(rig.cameras, surfaces, np.radians(parameters.turn_deg), parameters.move_m)
+    found = align(rig.cameras, surfaces, np.radians(TURN_DEG), MOVE_M)
     cameras = []
     for i, camera in enumerate(rig.cameras):
         off = [max(pair.after_m, pair.open_m) for pair in found.pairs if i in (pair.a, pair.b)]
@@ -152,7 +138,6 @@ def _on_plane(
     stills: Sequence[Still],
     now: Adjusted,
     workspace: Float64 | None,
-    parameters: RefineParameters,
     aligned: bool,
 ) -> _Seen:
     """Matches on the plane of every pair that shows it.
@@ -171,14 +156,14 @@ def _on_plane(
         affine = np.eye(2, 3)
         if not aligned:
             agreed = agreed_map(sheets[a], sheets[b])
-            if agreed is None or agreed.distinctness < parameters.distinct:
+            if agreed is None or agreed.distinctness < DISTINCT:
                 why = "share too little of the plane" if agreed is None else "see a pattern that fits in several places"
                 skipped.append(f"{now.cameras[a].name} and {now.cameras[b].name} {why}")
                 continue
             affine = agreed.affine
         points = measured(sheets[a], sheets[b], affine)
         pixels_a, pixels_b = ground.pixels(now.cameras[a], points.a), ground.pixels(now.cameras[b], points.b)
-        if len(points.a) < parameters.least_matches:
+        if len(points.a) < LEAST_MATCHES:
             skipped.append(f"{now.cameras[a].name} and {now.cameras[b].name} share too little of the plane")
             continue
         found.append(Matches(a, b, pixels_a, pixels_b, on_plane=True))
@@ -198,9 +183,7 @@ def _half(matches: Matches, part: int) -> Matches:
     return matches.where(np.arange(len(matches)) % step == part)
 
 
-def _check_connected(
-    cameras: Sequence[RigCamera], matches: Sequence[Matches], parameters: RefineParameters, skipped: Sequence[str]
-) -> None:
+def _check_connected(cameras: Sequence[RigCamera], matches: Sequence[Matches], skipped: Sequence[str]) -> None:
     """Every camera must hang together with the first through pairs with enough matches."""
     counts: dict[frozenset[int], int] = {}
     for pair in matches:
@@ -208,31 +191,29 @@ def _check_connected(
         counts[key] = counts.get(key, 0) + len(pair)
     reached, grown = {0}, True
     while grown:
-        linked = {i for key, n in counts.items() if n >= parameters.least_matches and key & reached for i in key}
+        linked = {i for key, n in counts.items() if n >= LEAST_MATCHES and key & reached for i in key}
         grown = not linked <= reached
         reached |= linked
     lost = [camera.name for i, camera in enumerate(cameras) if i not in reached]
     if lost:
         reason = f" ({'; '.join(skipped)})" if skipped else ""
         raise RigError(
-            f"refine: camera {lost[0]}: expected at least {parameters.least_matches} points shared with another "
+            f"refine: camera {lost[0]}: expected at least {LEAST_MATCHES} points shared with another "
             f"camera, found fewer{reason}; record a scene with more texture, or calibrate with a board"
         )
 
 
-def _check_believable(
-    now: Adjusted, figures: Sequence[PairFigures], parameters: RefineParameters, pixel_m: float
-) -> None:
+def _check_believable(now: Adjusted, figures: Sequence[PairFigures], pixel_m: float) -> None:
     advice = "is much of the scene on one plane, and are the poses given right to a degree or two? Else use a board"
-    if now.strain > parameters.most_strain:
+    if now.strain > MOST_STRAIN:
         raise RigError(
-            f"refine: expected a rig near the one given, at most {parameters.most_strain:g} sigma away, found one at "
+            f"refine: expected a rig near the one given, at most {MOST_STRAIN:g} sigma away, found one at "
             f"{now.strain:.2f}; {advice}"
         )
     gap = max((f.plane_after_m for f in figures if f.plane_after_m is not None), default=0.0)
-    if gap > parameters.most_gap * pixel_m:
+    if gap > MOST_GAP * pixel_m:
         raise RigError(
-            f"refine: expected cameras that agree on the plane to {1000 * parameters.most_gap * pixel_m:.1f} mm, found "
+            f"refine: expected cameras that agree on the plane to {1000 * MOST_GAP * pixel_m:.1f} mm, found "
             f"{1000 * gap:.1f} mm; {advice}"
         )
 

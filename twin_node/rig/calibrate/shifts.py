@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from twin_node.scene import Bool, Float64
 
+WINDOW_S = 5.0
+"""Offsets of windows this long tell the rate, s."""
 LEAST_WINDOWS = 4
 """Windows below which a rate is not told."""
 PARTS = 8
@@ -41,7 +43,7 @@ class Shift:
     """How much worse the middling shift fits than the best, as a share of the best."""
 
 
-def best_shift(costs: Costs, window_s: float) -> Shift | None:
+def best_shift(costs: Costs) -> Shift | None:
     """The shift of least cost; None where it lies at the end of what was tried, or nothing was."""
     if len(costs.stamps) < PARTS:
         return None
@@ -51,7 +53,7 @@ def best_shift(costs: Costs, window_s: float) -> Shift | None:
     total = costs.values.sum(0)
     contrast = float(np.median(total) / max(float(total.min()), 1e-12) - 1)
     sigma = _jackknife(costs, offset)
-    return Shift(round(offset * 1e9), round(sigma * 1e9), _rate_ppm(costs, window_s), contrast)
+    return Shift(round(offset * 1e9), round(sigma * 1e9), _rate_ppm(costs), contrast)
 
 
 def _lowest(costs: Costs, rows: Bool) -> float | None:
@@ -73,10 +75,10 @@ def _jackknife(costs: Costs, offset: float) -> float:
     return float(np.sqrt((PARTS - 1) / PARTS * ((found - found.mean()) ** 2).sum()))
 
 
-def _rate_ppm(costs: Costs, window_s: float) -> float | None:
+def _rate_ppm(costs: Costs) -> float | None:
     """Slope of the offsets of windows over time (Theil and Sen: the median of all slopes), parts per million."""
     t = (costs.stamps - costs.stamps[0]) / 1e9
-    windows = (t // window_s).astype(np.int64)
+    windows = (t // WINDOW_S).astype(np.int64)
     found = [(float(t[windows == i].mean()), _lowest(costs, windows == i)) for i in np.unique(windows)]
     known = [(time, offset) for time, offset in found if offset is not None]
     if len(known) < LEAST_WINDOWS:
