@@ -51,7 +51,6 @@ def import_video(
     progress: Callable[[int, int], None] | None = None,
     *,
     workspace: Float64 | None = None,
-    quality: int = convert.JPEG_QUALITY,
 ) -> VideoImport:
     """Streams videos in the order of their stamps into a log at `out` (see `LogWriter` for its forms).
 
@@ -76,7 +75,7 @@ def import_video(
         rig = Rig(cameras=tuple(timed), workspace=workspace)
         write_rig(log, rig, min(clip.first_stamp for clip in clips))
         for done, frame in enumerate(heapq.merge(*clips, key=lambda frame: frame.stamp), start=1):
-            _write_frame(log, frame, quality)
+            _write_frame(log, frame)
             if progress is not None:
                 progress(done, max(total, done))
         for clip in clips:
@@ -107,10 +106,10 @@ class _Frame:
     rgb: UInt8
 
 
-def _write_frame(log: LogWriter, frame: _Frame, quality: int) -> None:
+def _write_frame(log: LogWriter, frame: _Frame) -> None:
     name, stamp = frame.camera.name, frame.stamp
     log.write(f"/{name}/camera_info", convert.camera_info(frame.camera, stamp), stamp)
-    log.write(f"/{name}/image_raw/compressed", convert.compressed_image(name, stamp, frame.rgb, quality), stamp)
+    log.write(f"/{name}/image_raw/compressed", convert.compressed_image(name, stamp, frame.rgb), stamp)
 
 
 class _Clip:

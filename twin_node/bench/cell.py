@@ -26,6 +26,9 @@ OURS = "ours"
 BY_SIGHT = "by_sight"
 """The worst case with the twin's eyes."""
 
+TWIN_WIDTH = 160
+"""Working width of the twin's images, pixels."""
+
 MOST_LATENCY = Range(0, 10_000)
 """ms: whoever gives more means another unit."""
 RATE = Range(1, 1000)
@@ -51,8 +54,6 @@ class CellBenchParameters:
     """Sets per second that the twin takes, beside its latency; None: each when the one before is done."""
     same_eyes: bool = False
     """Also the worst case with the twin's own perception, as `by_sight`: what a user without forecasts has."""
-    twin_width: int = 160
-    """Working width of the twin's images, pixels."""
     processes: int = 2
     loop: LoopParameters = field(default_factory=LoopParameters)
 
@@ -118,12 +119,12 @@ def run_case(job: Job) -> CaseResult:
 
         latency_ms = parameters.twin_latency_ms
         pace = None if latency_ms is None else Pace.of(latency_ms, parameters.twin_rate_hz)
-        twin = run_twin(case, parameters.twin_width, pace)
+        twin = run_twin(case, TWIN_WIDTH, pace)
         timing = twin.timing
         case = CellCase(scenario, timing.usual_ms, parameters.loop)
         twins[OURS] = score(case, twin.record, twin.first_seen_s, with_delays=True)
         if parameters.same_eyes:
-            seen = run_twin(case, parameters.twin_width, pace, by_sight=True)
+            seen = run_twin(case, TWIN_WIDTH, pace, by_sight=True)
             twins[BY_SIGHT] = score(case, seen.record, seen.first_seen_s)
     perfect = {
         policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not twins) for policy in POLICIES

@@ -14,6 +14,8 @@ from twin_node.bench.arm_reference import ArmReference
 from twin_node.robot import UR_NAMES, forward_kinematics, ur_dh, ur_model
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
+SPREAD_M = 0.3
+"""1 sigma of the probes about the joints, m."""
 STEP_NS = 10_000_000
 """Between two steps of the checked trajectory, ns."""
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -38,8 +40,6 @@ class CollisionBench:
     """Random poses in which clearances are held against the meshes."""
     probes: int = 4
     """Small spheres near the arm per pose; the nearest one gives the clearance."""
-    spread_m: float = 0.3
-    """1 sigma of the probes about the joints, m."""
     seed: int = 0
 
 
@@ -159,7 +159,7 @@ def compare_clearances(reference: ArmReference, bench: CollisionBench, progress:
     q = generator.uniform(-np.pi, np.pi, (bench.poses, checker.model.joints))
     poses = forward_kinematics(checker.model, q)
     joint = generator.integers(1, checker.model.joints + 1, (bench.poses, bench.probes))
-    scatter = generator.normal(scale=bench.spread_m, size=(bench.poses, bench.probes, 3))
+    scatter = generator.normal(scale=SPREAD_M, size=(bench.poses, bench.probes, 3))
     probes = poses[np.arange(bench.poses)[:, None], joint, :3, 3] + scatter
     links = checker.model.link_names
     to_meshes = reference.mesh_distances(poses, links, probes)

@@ -18,6 +18,9 @@ from twin_node.forecast.experts import EXPERT_NAMES
 from twin_node.forecast.points import PointForecaster
 from twin_node.scene import Bool, Float64
 
+WARM_UP_S = 2.0
+"""Forecasts from the first so many seconds are made and not scored."""
+
 
 @dataclass(frozen=True)
 class ForecastBenchParameters:
@@ -27,10 +30,6 @@ class ForecastBenchParameters:
     """Samples per second that the forecaster is given, as nearly as every so many of the file's are."""
     noise_m: float = 0.005
     """1 sigma of the noise added to every coordinate, m: what a tracker leaves."""
-    horizon_s: float = AHEAD_S
-    """How far ahead to forecast, s."""
-    warm_up_s: float = 2.0
-    """Forecasts from the first so many seconds are made and not scored."""
     height_m: float = 1.75
     """Of the person in a BVH file, which has no unit."""
     joints: tuple[str, ...] = ()
@@ -60,23 +59,20 @@ class Foretold:
 
 
 def foretell(
-    times: Float64,
-    seen: Float64,
-    truth_at: Callable[[float], Float64],
-    horizon_s: float,
-    bound: BoundParameters | None = None,
+    times: Float64, seen: Float64, truth_at: Callable[[float], Float64], bound: BoundParameters | None = None
 ) -> Foretold:
-    """Forecasts positions `seen` [T, J, 3] (m, NaN where not seen) at `times` [T] (s), one sample after the other.
+    """Forecasts positions `seen` [T, J, 3] (m, NaN where not seen) at `times` [T] (s), one sample after the other, by
+    `AHEAD_S`.
 
     `truth_at`: positions [J, 3] at a time, NaN where unknown.
     """
-    forecaster = PointForecaster(seen.shape[1], np.array([horizon_s]), bound)
+    forecaster = PointForecaster(seen.shape[1], np.array([AHEAD_S]), bound)
     errors, single, radii, spent = [], [], [], []
     for now, positions in zip(times, seen, strict=True):
         begin = time.perf_counter()
         forecast = forecaster.update(float(now), positions)
         spent.append(time.perf_counter() - begin)
-        came_true = truth_at(float(now) + horizon_s) - positions
+        came_true = truth_at(float(now) + AHEAD_S) - positions
         errors.append(np.linalg.norm(forecast.displacements[-1] - came_true, axis=-1))
         single.append(np.linalg.norm(forecast.single - came_true, axis=-1))
         radii.append(forecast.radii[-1])
@@ -132,15 +128,15 @@ def run(path: Path, parameters: ForecastBenchParameters | None = None) -> Foreca
     exact = trajectories.positions[::stride]
     seen = exact + rng.normal(0, parameters.noise_m, exact.shape)
     times = trajectories.times[::stride]
-    foretold = foretell(times, seen, _truth(trajectories), parameters.horizon_s, parameters.bound)
-    scored = times >= times[0] + parameters.warm_up_s
+    foretold = foretell(times, seen, _truth(trajectories), parameters.bound)
+    scored = times >= times[0] + WARM_UP_S
     if not foretold.known[scored][:, chosen].any():
-        least = parameters.warm_up_s + parameters.horizon_s
+        least = WARM_UP_S + AHEAD_S
         raise BenchError(f"{path}: expected more than {least:.1f} s of trajectories, found {np.ptp(times):.1f} s")
     return ForecastBench(
-        score=_score(foretold, scored, chosen, parameters.horizon_s),
+        score=_score(foretold, scored, chosen),
         by_joint={
-            trajectories.names[joint]: _score(foretold, scored, [joint], parameters.horizon_s)
+            trajectories.names[joint]: _score(foretold, scored, [joint])
             for joint in chosen
             if foretold.known[scored, joint].any()
         },
@@ -179,7 +175,7 @@ _SAME_S = 1e-4
 """Times this close are the same, s: what is left of a frame time written with four digits."""
 
 
-def _score(foretold: Foretold, scored: Bool, joints: list[int], horizon_s: float) -> ForecastScore:
+def _score(foretold: Foretold, scored: Bool, joints: list[int]) -> ForecastScore:
     known = foretold.known[scored][:, joints]
     errors, radii = foretold.errors[scored][:, joints][known], foretold.radii[scored][:, joints][known]
     single = {
@@ -187,7 +183,7 @@ def _score(foretold: Foretold, scored: Bool, joints: list[int], horizon_s: float
     }
     means = {name: 1e3 * float(mean.mean()) for name, mean in single.items()}
     coverage = float(np.mean(errors <= radii))
-    reach = PERSON_SPEED * horizon_s
+    reach = PERSON_SPEED * AHEAD_S
     return ForecastScore(
         error_mm={"ours": 1e3 * float(errors.mean()), **means, "best_single": min(means.values())},
         coverage=coverage,

@@ -22,6 +22,10 @@ from twin_node.bench.graph_run import PATIENCE_S
 
 TWIN, ARM = "10.77.0.1", "10.77.0.2"
 PORT = 7447
+DELAY_S, LOSS = 0.02, 0.01
+"""Of the link, each way, and the share of its packets that never arrive."""
+CUT_S = 3.0
+"""How long the link is cut, s."""
 LOSS_SEEN_S = 10.0
 """How long the arm runs over the link before it is cut, s: some hundred packets are lost."""
 RUNNING = 0.9
@@ -91,17 +95,17 @@ class Cut:
     mended: float
 
 
-def network(delay_s: float = 0.02, loss: float = 0.01, cut_s: float = 3.0, cuts: int = 3) -> NetworkFigures:
+def network(cuts: int = 3) -> NetworkFigures:
     """Lets the arm run, cuts the link, and mends it, `cuts` times. Raises `BenchError` without namespaces."""
     twin, arm = Machine(f"{TWIN}/24"), Machine(f"{ARM}/24")
-    link = Link(twin, arm, delay_s, loss)
+    link = Link(twin, arm, DELAY_S, LOSS)
     here = [sys.executable, "-m", "twin_node.bench.graph_machine"]
     try:
         twin.start([*here, "twin", f"tcp/{TWIN}:{PORT}"])
         output = arm.start([*here, "arm", f"tcp/{ARM}:{PORT}", f"tcp/{TWIN}:{PORT}"]).stdout
         assert output is not None
         heard = _Heard(output)
-        made = [_cut(link, heard, cut_s) for _ in range(cuts)]
+        made = [_cut(link, heard) for _ in range(cuts)]
     finally:
         link.is_cut = False
         for machine in (arm, twin):
@@ -109,23 +113,23 @@ def network(delay_s: float = 0.02, loss: float = 0.01, cut_s: float = 3.0, cuts:
         link.close()
         for machine in (arm, twin):
             machine.close()
-    return figures_of(heard.told, made, delay_s, loss)
+    return figures_of(heard.told, made)
 
 
-def _cut(link: Link, heard: _Heard, cut_s: float) -> Cut:
+def _cut(link: Link, heard: _Heard) -> Cut:
     told, pause = heard.told, threading.Event()
     heard.wait_until(lambda: bool(told) and told[-1].fraction > RUNNING, "the arm did not move")
     watched = time.monotonic()
     pause.wait(LOSS_SEEN_S)
     heard.wait_until(lambda: told[-1].fraction > RUNNING, "the arm did not move")
     link.is_cut, cut = True, time.monotonic()
-    pause.wait(cut_s)
+    pause.wait(CUT_S)
     link.is_cut, mended = False, time.monotonic()
     heard.wait_until(lambda: told[-1].at > mended and told[-1].fraction > 0, "the arm did not go on")
     return Cut(watched, cut, mended)
 
 
-def figures_of(told: list[Told], cuts: list[Cut], delay_s: float, loss: float) -> NetworkFigures:
+def figures_of(told: list[Told], cuts: list[Cut]) -> NetworkFigures:
     """What decisions, in the order in which they were heard, say of the cuts that were made meanwhile."""
     slow_fraction = LimiterParameters().slow_fraction
     slow = [_silence_s(told, cut, slow_fraction) for cut in cuts]
@@ -136,8 +140,8 @@ def figures_of(told: list[Told], cuts: list[Cut], delay_s: float, loss: float) -
     before = [t for c in cuts for t in told if c.watched < t.at < c.cut]
     ages = [1e3 * (t.at + offset_s - t.evidence * 1e-9) for t in _news(before)]
     return NetworkFigures(
-        delay_ms=1e3 * delay_s,
-        loss=loss,
+        delay_ms=1e3 * DELAY_S,
+        loss=LOSS,
         cut_s=cuts[0].mended - cuts[0].cut,
         cuts=len(cuts),
         slow_after_s=max(slow),

@@ -185,7 +185,7 @@ def _observed(
         place = made.motion(np.array([moment]))[0] if moment <= true[-1] else np.full(3, np.nan)
         return np.asarray(place + LIMB)
 
-    return _Observed(true, foretell(stamps, seen, truth, AHEAD_S), made.ends_as_begun)
+    return _Observed(true, foretell(stamps, seen, truth), made.ends_as_begun)
 
 
 def _aftermath(observed: list[_Observed]) -> Aftermath:

@@ -19,12 +19,10 @@ class ColourOf:
 
     hue: int
     """In OpenCV's half degrees, 0 to 179; orange is 8."""
-    tolerance: int = 10
-    """Half degrees either side."""
 
     def mask(self, rgb: NDArray[np.uint8]) -> Bool:
         """[H, W] True on pixels of the colour."""
-        return colour_mask(rgb, self.hue, self.tolerance)
+        return colour_mask(rgb, self.hue)
 
 
 class Markers:

@@ -23,6 +23,10 @@ from twin_node.robot import ur_model
 from twin_node.runtime.wire import encoded
 from twin_node.scene import GaussianCloud, Tier
 
+VISITORS = 2
+ASKED_HZ = 60.0
+"""Pictures asked for, per second."""
+
 
 @dataclass(frozen=True)
 class ViewerBenchParameters:
@@ -30,11 +34,8 @@ class ViewerBenchParameters:
 
     gaussians: int = 10_000
     moving: int = 1_000
-    visitors: int = 2
     seconds: float = 5.0
     """How long pictures are counted."""
-    asked_hz: float = 60.0
-    """Pictures asked for, per second."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
     page = CellPage(ur_model("ur10e"), (), port=port)
     size = parameters.moving * BYTES_PER_SPLAT
     try:
-        with visiting(port, parameters.visitors, range(size, 2 * size)) as visitors:
+        with visiting(port, VISITORS, range(size, 2 * size)) as visitors:
             for visitor in visitors:
                 visitor.wait()
             times = _show_all(page, parameters)
@@ -83,7 +84,7 @@ def run(log: Path | None = None, parameters: ViewerBenchParameters | None = None
         len(times) / spent,
         tuple(n / spent for n in counts),
         1e3 * float(np.median(times)),
-        None if messages is None else cost(messages, parameters.visitors),
+        None if messages is None else cost(messages, VISITORS),
     )
 
 
@@ -126,7 +127,7 @@ def _show_all(page: CellPage, parameters: ViewerBenchParameters) -> list[float]:
         }
         page.show(Snapshot(stamp, said, {}, None))
         times.append(time.perf_counter() - now)
-        time.sleep(max(1 / parameters.asked_hz - times[-1], 0))
+        time.sleep(max(1 / ASKED_HZ - times[-1], 0))
     return times
 
 

@@ -5,6 +5,6 @@ from twin_node.cell.record import write_log
 from twin_node.cell.scenario import Scenario
 from twin_node.cell.scenario_file import load_scenario
 from twin_node.cell.simulator import CellSource, SimulatedRig
-from twin_node.cell.truth import CellTruth, Track
+from twin_node.cell.truth import CellTruth
 
-__all__ = ["CellError", "CellSource", "CellTruth", "Scenario", "SimulatedRig", "Track", "load_scenario", "write_log"]
+__all__ = ["CellError", "CellSource", "CellTruth", "Scenario", "SimulatedRig", "load_scenario", "write_log"]

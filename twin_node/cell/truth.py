@@ -1,8 +1,6 @@
-"""What is exactly so in the simulated cell: moving voxels, tracks and masks at any time."""
+"""What is exactly so in the simulated cell: moving voxels and masks at any time."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,21 +8,6 @@ from twin_node.cell.shapes import touched_voxels
 from twin_node.cell.simulator import SimulatedRig
 from twin_node.cell.solids import Solid
 from twin_node.scene import Bool, Float64, Grid, Occupancy, OccupancyLayer, UInt32
-
-DIFFERENCE_NS = 500_000
-"""Half the step of the central difference that gives speeds, ns."""
-
-
-@dataclass(frozen=True)
-class Track:
-    """Where one moving body or person is."""
-
-    name: str
-    stamp: int
-    positions: Float64
-    """[p, 3] centres in `base_link` of its primitives, in their fixed order, m."""
-    velocities: Float64
-    """[p, 3] m/s."""
 
 
 class CellTruth:
@@ -52,19 +35,6 @@ class CellTruth:
         layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
         return Occupancy(stamp, stamp, self.grid, (layer,), nothing, np.empty((0, 2), np.uint32))
 
-    def tracks(self, stamp: int) -> tuple[Track, ...]:
-        """Every moving body and person at a stamp."""
-        now, before, after = (self._world.moving(at) for at in (stamp, stamp - DIFFERENCE_NS, stamp + DIFFERENCE_NS))
-        return tuple(
-            Track(
-                self._world.names[owner],
-                stamp,
-                _centers(now, owner),
-                (_centers(after, owner) - _centers(before, owner)) / (2e-9 * DIFFERENCE_NS),
-            )
-            for owner in self._world.moving_owners
-        )
-
     def moving_mask(self, camera: int, stamp: int) -> Bool:
         """[H, W] True where a camera of the rig sees a moving body or person."""
         return self._simulated.see(camera, stamp).shows(self._world.moving_owners)
@@ -84,7 +54,3 @@ def workspace_grid(workspace: Float64, voxel_size: float) -> Grid:
 def _touched(solids: tuple[Solid, ...], grid: Grid) -> UInt32:
     parts = [touched_voxels(solid.placed, grid) for solid in solids]
     return np.unique(np.concatenate([np.empty(0, np.int64), *parts])).astype(np.uint32)
-
-
-def _centers(solids: tuple[Solid, ...], owner: int) -> Float64:
-    return np.array([solid.placed.T_base_shape[:3, 3] for solid in solids if solid.owner == owner])

@@ -179,6 +179,8 @@ FEATURES = 3 * LAGS
 """Features of the autoregression: a node's own steps and their averages over its `Neighbours`."""
 LEAST_GRAM = 1e-4
 """What its normal equations begin with, and never forget, m^2: without evidence its weights are 0."""
+LEARNT_S = 3.3
+"""Time constant in which it forgets, s; at 30 Hz a factor of 0.99 per sample."""
 
 
 def steps(history: History) -> Float64:
@@ -204,9 +206,7 @@ class Autoregression:
     and learns from every node; fitted at `KNOTS` shares of the horizon and interpolated between them.
     """
 
-    def __init__(self, memory_s: float = 3.3) -> None:
-        """`memory_s`: time constant of the forgetting, s; at 30 Hz a factor of 0.99 per sample."""
-        self.memory_s = memory_s
+    def __init__(self) -> None:
         self.gram = np.tile(np.eye(FEATURES) * LEAST_GRAM, (len(KNOTS), 1, 1))
         """[K, F, F] of the normal equations, m^2."""
         self.moment = np.zeros((len(KNOTS), FEATURES))
@@ -237,7 +237,7 @@ class Autoregression:
         if len(features) == 0:
             return
         self.outdate()
-        kept = np.exp(-elapsed_s / self.memory_s)
+        kept = np.exp(-elapsed_s / LEARNT_S)
         flat = features.reshape(-1, FEATURES)
         weight = elapsed_s / LAG_S / len(features)
         least = (1 - kept) * LEAST_GRAM * np.eye(FEATURES)

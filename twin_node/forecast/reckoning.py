@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin_node.forecast.experts import KNOTS, LAG_S, LEAST_GRAM, Autoregression, History
+from twin_node.forecast.experts import KNOTS, LAG_S, LEARNT_S, LEAST_GRAM, Autoregression, History
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.part_requests import DueForecast, ReckonRequest
 from twin_node.forecast.records import FALL_S, RECORD_S, RISE_S, Records, Rows
@@ -138,7 +138,7 @@ def _reckon_by(
             *(count, len(history.times), len(due), len(records.squared), *learning.moment.shape),
             *(manner.turns, _LEARNT_FROM),
             *(STARTLED, _TURN, NARROWER, LEAST_GRAM),
-            *(manner.memory_s, RECORD_S, RISE_S, FALL_S, learning.memory_s, LAG_S),
+            *(manner.memory_s, RECORD_S, RISE_S, FALL_S, LEARNT_S, LAG_S),
             *addresses_of(times, positions, *kept, learning.gram, learning.moment, *results, left),
             asked,
         )

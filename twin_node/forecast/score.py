@@ -12,6 +12,11 @@ from twin_node.forecast.grid import decode_runs
 from twin_node.geometry import project
 from twin_node.scene import Bool, Camera, Float64, Grid, Occupancy, OccupancyLayer
 
+HUE_TOLERANCE = 10
+"""Half degrees either side."""
+LEAST_COLOUR = (130, 90)
+"""Saturation and value, 0 to 255, below which no pixel has a colour to speak of."""
+
 
 @dataclass(frozen=True)
 class PointScore:
@@ -105,9 +110,9 @@ def nearest_error(grid: Grid, layer: OccupancyLayer, points: Float64) -> Float64
     return errors
 
 
-def colour_mask(rgb: NDArray[np.uint8], hue: int, tolerance: int = 10, saturation: int = 130, value: int = 90) -> Bool:
-    """[H, W] pixels of one colour: hue in OpenCV's half degrees (orange 8), saturation and value from 0 to 255."""
+def colour_mask(rgb: NDArray[np.uint8], hue: int) -> Bool:
+    """[H, W] pixels of one colour, neither pale nor dark: hue in OpenCV's half degrees, orange 8."""
     hsv = cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV).astype(np.int32)
     off = np.abs(hsv[..., 0] - hue)
-    chosen: Bool = (np.minimum(off, 180 - off) <= tolerance) & (hsv[..., 1] >= saturation) & (hsv[..., 2] >= value)
+    chosen: Bool = (np.minimum(off, 180 - off) <= HUE_TOLERANCE) & (hsv[..., 1:] >= LEAST_COLOUR).all(-1)
     return chosen

@@ -40,8 +40,6 @@ class Budget:
     """Of per-frame 3DGS, for each set of images from scratch."""
     stream_steps: int = 60
     """Of each of the two stages of the streaming method, per set; 150 and 100 as published, at ten times the width."""
-    degree: int = 0
-    """Of the harmonics of all methods: the online model has none."""
     hexplane: HexPlaneParameters = field(default_factory=lambda: HexPlaneParameters(resolution=32))
     """Half as fine as published: for images of a tenth of the published width."""
     hash: HashParameters = field(default_factory=lambda: HashParameters(levels=6, finest=64))

@@ -21,7 +21,7 @@ def train_parameters(budget: Budget, method: str, steps: int) -> TrainParameters
     return TrainParameters(
         method=method,
         steps=steps,
-        degree=budget.degree,
+        degree=0,  # the online model has no harmonics either
         start_gaussians=budget.gaussians * 3 // 4,
         most_gaussians=budget.gaussians,
         seed=budget.seed,

@@ -17,16 +17,16 @@ from twin_node.nodes.topics import GAUSSIANS
 from twin_node.scene import GaussianCloud
 
 
-def import_ply(path: Path, output: Path, stamp: int = 0) -> int:
+def import_ply(path: Path, output: Path) -> int:
     """Writes the Gaussians of a PLY file (3DGS layout) as one latched `/twin/gaussians`, all STATIC; returns how many.
 
-    Colours become those of all sides, in 8 bits; `stamp` is in ns. Raises `ModelError` or `BagError` for a wrong path,
+    Colours become those of all sides, in 8 bits; the stamp is 0. Raises `ModelError` or `BagError` for a wrong path,
     `ModelError` for Gaussians that are nowhere, or of no size, shape or colour.
     """
     cloud = cloud_from_stored(read_ply(path))
     _require_finite(cloud, path)
     with LogWriter(output) as log:
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, 0), 0)
     return len(cloud.means)
 
 

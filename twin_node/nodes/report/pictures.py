@@ -35,7 +35,6 @@ class Curve:
     label: str
     seconds: NDArray[np.float64]
     values: NDArray[np.float64]
-    colour: str | None = None
 
 
 def camera_column(image: Image, rendering: Image, moving: Bool | None) -> tuple[UInt8, UInt8, UInt8]:
@@ -98,7 +97,7 @@ def curves(title: str, unit: str, series: Sequence[Curve]) -> bytes:
     figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     for curve in series:
-        axes.plot(curve.seconds, curve.values, label=curve.label, color=curve.colour, linewidth=1.2)
+        axes.plot(curve.seconds, curve.values, label=curve.label, linewidth=1.2)
     axes.set(title=title, xlabel="time, s", ylabel=unit)
     axes.set_ylim(bottom=0)
     return _png_of(figure, len(series) if len(series) > 1 else 0)
