@@ -27,9 +27,9 @@ def test_a_set_that_waits_leaves_no_time_and_is_counted() -> None:
     for count in (1, 2, 3):
         leisure.begin(lambda: False)
         assert not leisure.lasts()
-        assert leisure.hurried == count
+        assert leisure.put_off == count
     leisure.begin(lambda: True)
-    assert leisure.lasts() and leisure.hurried == 0
+    assert leisure.lasts() and leisure.put_off == 0
 
 
 def test_one_that_comes_meanwhile_puts_off_what_is_left() -> None:
@@ -38,7 +38,7 @@ def test_one_that_comes_meanwhile_puts_off_what_is_left() -> None:
     assert leisure.lasts()
     assert not leisure.lasts()
     assert not leisure.lasts(), "what was put off is not taken up again before the next set"
-    assert leisure.hurried == 1
+    assert leisure.put_off == 1
 
 
 def test_what_was_put_off_once_is_not_put_off_again() -> None:

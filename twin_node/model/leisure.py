@@ -15,7 +15,7 @@ class Leisure:
     """The time between two sets, set by set."""
 
     def __init__(self) -> None:
-        self.hurried = 0
+        self.put_off = 0
         """Sets in a row after which there was no time, or not for all."""
         self._at_ease = 0
         """Sets in a row after which none waited."""
@@ -28,14 +28,14 @@ class Leisure:
 
     def begin(self, proceed: Proceed) -> None:
         """A set is out; `proceed()` says whether none waits."""
-        was_hurried = self.hurried > 0
+        was_put_off = self.put_off > 0
         self._proceed = proceed
-        self.hurried = 0 if proceed() else self.hurried + 1
-        self._at_ease = 0 if self.hurried else self._at_ease + 1
-        self._gives_way = not was_hurried and self._at_ease >= AT_EASE
+        self.put_off = 0 if proceed() else self.put_off + 1
+        self._at_ease = 0 if self.put_off else self._at_ease + 1
+        self._gives_way = not was_put_off and self._at_ease >= AT_EASE
 
     def lasts(self) -> bool:
         """Whether there was time and still is; once a set has come meanwhile, there is none for what is left."""
-        if not self.hurried and self._gives_way and not self._proceed():
-            self.hurried = 1
-        return not self.hurried
+        if not self.put_off and self._gives_way and not self._proceed():
+            self.put_off = 1
+        return not self.put_off

@@ -34,7 +34,7 @@ from twin_node.model.unselected import fit_unselected
 from twin_node.model.upkeep import Seen, Upkeep
 from twin_node.scene import Bool, FrameSet
 
-HURRIED = 4
+LEAST_SLICES = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
 BRAKE, PICK_UP = 0.1, 1.1
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
@@ -158,39 +158,64 @@ class Tracker:
         """What is left to do of the last set, where it has not been done yet; whether nothing is left to do.
 
         Births are guesses until the next set has fitted them, so that the state that is published before them looks
-        better without; who merges and splits shows in what comes. Where `proceed` leaves no time nothing is done, and
-        no more where a set comes meanwhile as none did lately: what is not born now is with the next set. If that goes
-        on, neither is put off again, nothing is pruned, and what stands takes a step after one set and is drawn anew
-        after the next. Whoever never finds a set waiting, and yet has no time, has `least` slices of what can wait
-        done all the same. Another thread looks at what a set's steps miss while this one regroups and prunes, and while
-        it bears.
+        better without; who merges and splits shows in what comes. Where `proceed` leaves no time all is put off, but
+        not twice in a row. Whoever never finds a set waiting, and yet has no time, has `least` slices of what can wait
+        done all the same.
         """
         due, self._due = self._due, None
         if due is None:
             return True
-        leisure = self._leisure
-        leisure.begin(proceed)
-        learns = leisure.hurried % 2 == 0
+        self._leisure.begin(proceed)
+        if self._leisure.put_off > 1:
+            return self._do_what_presses(due, least, on_stage)
+        if not self._leisure.put_off:
+            self._do_all(due, on_stage)
+        is_done = self._upkeep.go_on(granted(least, proceed))
+        return is_done and not self._leisure.put_off
+
+    def _do_all(self, due: _Due, on_stage: OnStage) -> None:
+        """All that a set leaves to do but what can wait; once another set has come, as none did lately, no more of it.
+
+        Another thread looks at what the set's steps miss while this one regroups and prunes, and while it bears.
+        """
+        self._upkeep.begin(due.seen, self._parameters.map.steps)
+        on_stage("begin")
+        if not self._leisure.lasts():
+            return
+        self._regroup(due)
+        on_stage("regroup")
+        if not self._leisure.lasts():
+            return
+        self._population.prune(due.seen.observed, due.around)
+        self._upkeep.learn(granted(1))
+        if not self._leisure.lasts():
+            return
+        self._bear(due)
+        on_stage("bear")
+
+    def _do_what_presses(self, due: _Due, least: int, on_stage: OnStage) -> bool:
+        """What was put off after the set before: nothing is pruned, and what stands takes a step after one set and is
+        drawn anew after the next. Returns whether nothing of that is left."""
+        learns = self._leisure.put_off % 2 == 0
         if learns:
-            self._upkeep.begin(due.seen, 1 if leisure.hurried else self._parameters.map.steps)
+            self._upkeep.begin(due.seen, 1)
             on_stage("begin")
-        if leisure.lasts() or leisure.hurried > 1:
-            self._decisions += self._bodies.regroup(due.carried)
-            if self._bodies.decided_s:
-                self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
-            on_stage("regroup")
-        if leisure.lasts():
-            self._population.prune(due.seen.observed, due.around)
-            self._upkeep.learn(granted(1))
-        if leisure.lasts() or leisure.hurried > 1:
-            born = self._population.bear(due.seen.observed, due.renderings)
-            self._born = born.gaussians
-            self._decisions += born.woken
-            on_stage("bear")
-        if leisure.hurried < 2:
-            return self._upkeep.go_on(granted(least, proceed)) and not leisure.hurried
+        self._regroup(due)
+        on_stage("regroup")
+        self._bear(due)
+        on_stage("bear")
         keep_up = self._upkeep.learn if learns and not self._backgrounds.are_outdated else self._upkeep.draw
-        return keep_up(granted(max(HURRIED, least)))
+        return keep_up(granted(max(LEAST_SLICES, least)))
+
+    def _regroup(self, due: _Due) -> None:
+        self._decisions += self._bodies.regroup(due.carried)
+        if self._bodies.decided_s:
+            self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
+
+    def _bear(self, due: _Due) -> None:
+        born = self._population.bear(due.seen.observed, due.renderings)
+        self._born = born.gaussians
+        self._decisions += born.woken
 
     def end(self) -> None:
         """Ends what `refine` has begun and not been left the time for."""
