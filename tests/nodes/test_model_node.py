@@ -14,7 +14,7 @@ import pytest
 
 from twin_node.model import ModelParameters, SeedParameters, TrackParameters, WindowModel
 from twin_node.model.stages import LeftS, Proceed, endless, unhurried
-from twin_node.nodes.model import ModelNode
+from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.topics import SEEN, STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -97,7 +97,7 @@ def test_where_sets_wait_every_other_one_is_followed() -> None:
 
 def test_a_live_set_does_not_wait_until_the_one_before_is_followed() -> None:
     bus, model = LocalBus(), Watched()
-    node = ModelNode(bus, SteppedClock(), model, is_live=True)
+    node = ModelNode(bus, SteppedClock(), model, Following.IN_TIME)
     node.configure()
     node.activate()
     told: list[tuple[str, int]] = []
@@ -148,7 +148,7 @@ def test_a_live_set_is_left_what_is_left_of_the_latency_wished_for(
     is_live: bool, latency_ms: float, expected: float
 ) -> None:
     bus, clock, model = LocalBus(), SteppedClock(), Asked(latency_ms)
-    node = ModelNode(bus, clock, model, is_live=is_live)
+    node = ModelNode(bus, clock, model, Following.IN_TIME if is_live else Following.IN_TURN)
     node.configure()
     node.activate()
     clock.advance_to(10_000_000)
@@ -245,7 +245,7 @@ class LiveNode:
 def live(process: InTurn) -> LiveNode:
     """The process has not loaded yet."""
     bus, model = LocalBus(), Watched()
-    node = ModelNode(bus, SteppedClock(), model, is_live=True, own_process=True)
+    node = ModelNode(bus, SteppedClock(), model, Following.APART)
     node.configure()
     node.activate()
     return LiveNode(bus, model, node, told_of(bus))
@@ -293,7 +293,7 @@ def test_what_another_process_follows_at_the_end_still_goes_out(process: InTurn,
 
 def test_who_settles_has_every_later_set_followed_elsewhere(process: InTurn) -> None:
     bus = LocalBus()
-    node = ModelNode(bus, SteppedClock(), Watched(), is_live=True, own_process=True)
+    node = ModelNode(bus, SteppedClock(), Watched(), Following.APART)
     node.configure()
     node.activate()
     node.await_process()
@@ -304,14 +304,16 @@ def test_who_settles_has_every_later_set_followed_elsewhere(process: InTurn) -> 
     assert process.has_model
 
 
-@pytest.mark.parametrize(("is_live", "is_worth_it"), [(False, True), (True, False)])
+@pytest.mark.parametrize(
+    ("following", "is_worth_it"), [(Following.IN_TURN, True), (Following.IN_TIME, True), (Following.APART, False)]
+)
 def test_in_lockstep_or_without_another_processor_there_is_no_other_process(
-    is_live: bool, is_worth_it: bool, monkeypatch: pytest.MonkeyPatch
+    following: Following, is_worth_it: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[int] = []
     monkeypatch.setattr("twin_node.nodes.model.ModelProcess", lambda: begun.append(1))
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: is_worth_it)
-    ModelNode(LocalBus(), SteppedClock(), Watched(), is_live=is_live, own_process=True).configure()
+    ModelNode(LocalBus(), SteppedClock(), Watched(), following).configure()
     assert not begun
 
 

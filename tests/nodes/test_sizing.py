@@ -12,7 +12,7 @@ from twin_node.forecast import Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.nodes import sizing
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters, sized
-from twin_node.nodes.model import ModelNode
+from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
@@ -83,7 +83,7 @@ def test_sizes_wider_than_the_images_are_not_tried(width: int, tried: list[str])
 def test_the_model_begins_when_its_size_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sizing, "TRIED_SETS", 2)
     bus, states = LocalBus(), list[TwinState]()
-    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), trial([], budget_ms=1e-6))
+    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), trial=trial([], budget_ms=1e-6))
     bus.subscribe(STATE, states.append)
     node.configure()
     node.activate()
@@ -115,7 +115,7 @@ def test_the_models_process_is_begun_once_its_size_is_known(monkeypatch: pytest.
     monkeypatch.setattr("twin_node.nodes.model.ModelProcess", Loading)
     monkeypatch.setattr("twin_node.nodes.model.is_worth_it", lambda: True)
     bus, one = LocalBus(), trial([], budget_ms=1e-6)
-    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), one, is_live=True, own_process=True)
+    node = ModelNode(bus, SteppedClock(), WindowModel(MODEL), Following.APART, one)
     node.configure()
     node.activate()
     for index in range(4):

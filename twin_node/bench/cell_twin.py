@@ -23,6 +23,7 @@ from twin_node.messages import Message, convert
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.latency import Latency
+from twin_node.nodes.model import Following
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import COMPRESSED, FRAMES, JOINT_STATES, OBSTACLES, RAW, CameraTopics
 from twin_node.robot import UR_NAMES, forward_kinematics, place_capsules
@@ -168,15 +169,10 @@ class TwinPerception:
         synchronizer.configure()
         synchronizer.activate()
         self._latency = Latency(round(case.timing.latency_ns), is_measured=pace is None)
+        following = Following.IN_TIME if pace is None else Following.IN_TURN
         workspace = np.array(scenario.workspace)
         self._chain = Chain(
-            self._working,
-            self._clock,
-            workspace,
-            parameters,
-            self._latency,
-            lambda: self._dropped,
-            with_arm=False,
+            *(self._working, self._clock, workspace, parameters, self._latency, following), lambda: self._dropped
         )
         self._chain.start()
         self._newest: FrameSet | None = None

@@ -14,7 +14,7 @@ from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.model import ModelNode
+from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.reading import Order, Reading
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import GAUSSIANS_MOVING, STATE, TRUSTED_FRAMES
@@ -131,7 +131,7 @@ def follow_live(
     names = chain.arm.arm().joint_names
     with contextlib.closing(Reading(Order(session, chain.synchronizer, names))) as reading:
         clock, working = PacedClock(session.span.start_ns, rate), LocalBus()
-        node = ModelNode(working, clock, followed.model, is_live=True)
+        node = ModelNode(working, clock, followed.model, Following.IN_TIME)
         node.configure()
         node.activate()
         states: list[TwinState] = []

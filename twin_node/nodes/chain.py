@@ -1,4 +1,4 @@
-"""The chain behind the synchroniser: drift watch, window model, forecast, arm and status on one bus."""
+"""The chain behind the synchroniser: drift watch, window model, forecast and status on one bus."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 
 from twin_node.forecast import Forecaster, default_grid
 from twin_node.model import WindowModel
-from twin_node.nodes.arm import make_arm_node
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.forecast import ForecastNode
 from twin_node.nodes.latency import Latency
-from twin_node.nodes.model import ModelNode
+from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SizeChoice
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.status import StatusNode
@@ -27,7 +26,7 @@ def make_model(parameters: ChainParameters) -> WindowModel:
 
 
 class Chain:
-    """The nodes from frame sets to the arm's speed, made and wired."""
+    """The nodes from frame sets to obstacles, made and wired; the arm's reads messages only, and is no part of it."""
 
     def __init__(
         self,
@@ -36,17 +35,13 @@ class Chain:
         workspace: Float64,
         parameters: ChainParameters,
         latency: Latency,
-        dropped: Callable[[], int],
-        with_arm: bool = True,
+        following: Following = Following.IN_TURN,
+        dropped: Callable[[], int] = lambda: 0,
         say: Callable[[str], None] | None = None,
-        own_process: bool = False,
     ) -> None:
-        """`workspace` [2, 3] m; `dropped()`: frame sets dropped so far, for the status.
+        """`workspace` [2, 3] m; `following`: see `ModelNode`; `dropped()`: frame sets dropped so far, for the status.
 
-        `own_process`: sets come by the wall clock, so the model may follow them in one, see `ModelNode`.
-
-        The arm's node reads messages only, so it can stand in another process: `with_arm` False leaves it out. Where
-        the size is to be measured it is if there is a user to `say` it to; else the parameters stand as they are.
+        Where the size is to be measured it is if there is a user to `say` it to; else the parameters stand as they are.
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
@@ -55,14 +50,14 @@ class Chain:
         if say is not None and parameters.size.name is SizeChoice.AUTO:
             arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
             trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say)
-        own_process = own_process and parameters.model.own_process
-        self.model_node = ModelNode(bus, clock, make_model(parameters), trial, latency.is_measured, own_process)
+        if following is Following.APART and not parameters.model.own_process:
+            following = Following.IN_TIME
+        self.model_node = ModelNode(bus, clock, make_model(parameters), following, trial)
         self._nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift),
             self.model_node,
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
-            *([make_arm_node(bus, clock, workspace, parameters.arm)] if with_arm else []),
         )
 
     def start(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from enum import Enum
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
@@ -31,11 +32,22 @@ LAST_S = 3.0
 """How long what is followed at the end is waited for, s: less than a launcher waits before it kills a process."""
 
 
+class Following(Enum):
+    """When and where the model follows the sets that it has looked at."""
+
+    IN_TURN = "in turn"
+    """Each before the next, however long it takes: lockstep."""
+    IN_TIME = "in time"
+    """While the clock runs: a set can be late, and is let be where the next one waits."""
+    APART = "apart"
+    """The same in a process of its own, where there is a processor for it."""
+
+
 class ModelNode(Node):
     """Keeps a `WindowModel` up to date with the newest frame set.
 
     What a set shows goes out before the model has followed it, for that takes twice as long: the arm waits for no more
-    than the forecast of it. `work_between_sets` does that afterwards, and what can wait; with `own_process` another
+    than the forecast of it. `work_between_sets` does that afterwards, and what can wait; `Following.APART` another
     process does both, as soon as it has loaded, and the model here only looks.
     """
 
@@ -44,19 +56,14 @@ class ModelNode(Node):
         bus: Bus,
         clock: Clock,
         model: WindowModel,
+        following: Following = Following.IN_TURN,
         trial: Trial | None = None,
-        is_live: bool = False,
-        own_process: bool = False,
     ) -> None:
-        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`.
-
-        `is_live`: `clock` runs while a set is worked on, so that one can be late. `own_process`: where it is worth it,
-        and only live.
-        """
+        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`."""
         super().__init__("model", bus, clock)
         self.model = model
-        self._is_live = is_live
-        self._own_process = own_process and is_live and is_worth_it()
+        self._is_live = following is not Following.IN_TURN
+        self._is_apart = following is Following.APART and is_worth_it()
         self._process: ModelProcess | None = None
         self._trial = trial
         self._narrower: Narrower | None = None
@@ -166,7 +173,7 @@ class ModelNode(Node):
             self._begin_process()
 
     def _begin_process(self) -> None:
-        if self._own_process:
+        if self._is_apart:
             self._process = ModelProcess()
 
     def work_between_sets(self, proceed: Proceed = unhurried) -> None:

@@ -12,12 +12,14 @@ from twin_node.bag import ChunkCompression, LogWriter
 from twin_node.bag.qos import is_latched
 from twin_node.model import WindowModel
 from twin_node.model.first_light import FirstLight
+from twin_node.nodes.arm import make_arm_node
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.model import Following
 from twin_node.nodes.player import Player
 from twin_node.nodes.reading import Finished, Order, Reading, play
 from twin_node.nodes.recorder import RecorderNode
@@ -151,7 +153,7 @@ class _Engine:
         synchronizer.activate()
         collector = CollectorNode(bus, clock, self._spool)
         latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
-        chain = self._chain(collector, synchronizer.cameras, latency, lambda: 0, own_process=False)
+        chain = self._chain(collector, synchronizer.cameras, latency, Following.IN_TURN, lambda: 0)
         begun = time.perf_counter()
         for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             chain.model_node.follow()
@@ -171,7 +173,7 @@ class _Engine:
             collector = CollectorNode(working, clock, self._spool, rate)
             bridge = Bridge(collector.keep_dropped, PATIENCE)
             cameras = LogSource(self._session, self._parameters.synchronizer).cameras
-            chain = self._chain(collector, cameras, latency, lambda: bridge.dropped, own_process=True)
+            chain = self._chain(collector, cameras, latency, Following.APART, lambda: bridge.dropped)
             first = self._first_set(order, working)
             working.publish(FRAMES, first)
             chain.model_node.follow()
@@ -216,16 +218,17 @@ class _Engine:
         collector: CollectorNode,
         cameras: Sequence[Camera],
         latency: Latency,
+        following: Following,
         dropped: Callable[[], int],
-        own_process: bool,
     ) -> Chain:
-        """The chain, the collector and the recorder, started on the collector's bus."""
+        """The chain, the arm, the collector and the recorder, started on the collector's bus."""
         bus, clock = collector.bus, collector.clock
         workspace = workspace_for(self._session.rig, cameras)
-        chain = Chain(bus, clock, workspace, self._parameters, latency, dropped, own_process=own_process)
+        chain = Chain(bus, clock, workspace, self._parameters, latency, following, dropped)
         observers: list[Node] = [collector]
         if self._log is not None:
             observers.append(RecorderNode(bus, clock, self._log, self._recorded))
+        observers.append(make_arm_node(bus, clock, workspace, self._parameters.arm))
         for node in observers:
             node.configure()
             node.activate()

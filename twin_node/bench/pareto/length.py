@@ -198,7 +198,7 @@ class _Followed:
         self._bus, self._clock = LocalBus(is_latched), SteppedClock(scenario.start_ns)
         latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
         workspace = np.array(scenario.workspace)
-        self._chain = Chain(self._bus, self._clock, workspace, chain, latency, lambda: 0, with_arm=False)
+        self._chain = Chain(self._bus, self._clock, workspace, chain, latency)
         self._forecasts = 0
         self._bus.subscribe(FORECAST, self._on_forecast)
         self._chain.start()

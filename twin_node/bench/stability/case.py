@@ -97,15 +97,8 @@ class _Followed:
         self._rig = stage.source.simulated
         scenario = self._rig.scenario
         self._bus, self._clock = LocalBus(is_latched), SteppedClock(scenario.start_ns)
-        self._chain = Chain(
-            self._bus,
-            self._clock,
-            np.array(scenario.workspace),
-            parameters,
-            Latency(ASSUMED_LATENCY_NS, is_measured=False),
-            lambda: 0,
-            with_arm=False,
-        )
+        latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
+        self._chain = Chain(self._bus, self._clock, np.array(scenario.workspace), parameters, latency)
         grid = self._chain.forecaster.grid
         self._baselines = BaselineForecaster(grid, parameters.forecast.carving, parameters.forecast.static)
         self._bus.subscribe(DRIFT, self._on_drift)

@@ -9,6 +9,7 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.model import Following
 from twin_node.nodes.topics import FORECAST, FRAMES, SEEN, TRUSTED_FRAMES
 from twin_node.runtime.node import Node
 
@@ -19,7 +20,7 @@ def make_twin(setup: Setup) -> Node:
 
 
 class TwinNode(Node):
-    """The chain's nodes but the arm's; latency counts from the first forecast on: what came before was start-up."""
+    """The chain; latency counts from the first forecast on: what came before was start-up."""
 
     def __init__(self, setup: Setup, source: RigSource, parameters: ChainParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
@@ -27,10 +28,9 @@ class TwinNode(Node):
         self._bus = bus = setup.bus
         workspace = working_volume(source, parameters.synchronizer.width)
         self._chain = Chain(
-            *(bus, setup.clock, workspace, parameters, self._latency, lambda: bus.dropped(FRAMES)),
-            with_arm=False,
+            *(bus, setup.clock, workspace, parameters, self._latency, Following.APART),
+            dropped=lambda: bus.dropped(FRAMES),
             say=setup.say,
-            own_process=True,
         )
 
     def on_configure(self) -> None:
