@@ -101,17 +101,9 @@ def crossing_box(tick: int) -> TwinState:
         rgb = np.repeat(np.where(mask, np.roll(pattern, left, axis=1), 60)[..., None], 3, axis=2).astype(np.uint8)
         views.append(View(looking_along(axis), tick * 33_333_333, rgb))
         masks.append(mask)
-    f = np.float32
-    cloud = GaussianCloud(
-        np.zeros((0, 3), f), np.zeros((0, 4), f), np.zeros((0, 3), f), np.zeros(0, f), np.zeros((0, 3), f),
-        np.zeros((0, 3), f), np.zeros(0, np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.int32),
-    )  # fmt: skip
-    nodes = NodeStates(
-        np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0),
-        np.zeros(0),
-    )  # fmt: skip
     stamp = tick * 33_333_333
-    return TwinState(stamp, FrameSet(stamp, tuple(views)), cloud, nodes, tuple(masks), (None, None))
+    frames, cloud = FrameSet(stamp, tuple(views)), GaussianCloud.none()
+    return TwinState(stamp, frames, cloud, NodeStates.none(), tuple(masks), (None, None))
 
 
 def test_made_up_states_get_the_scores_they_earn() -> None:

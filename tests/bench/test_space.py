@@ -34,15 +34,8 @@ BLOCK = BLOCK[(np.abs(BLOCK[:, :2]) < 0.1).all(axis=1) & (BLOCK[:, 2] < 1.1)]
 def state(stamp: int, depth_m: float = 2.0) -> TwinState:
     """One camera at the origin that looks along z at a wall."""
     view = View(CAMERA, stamp, np.zeros((64, 64, 3), np.uint8), np.full((64, 64), depth_m, np.float32))
-    f, nothing = np.float32, np.zeros(0)
-    cloud = GaussianCloud(
-        np.zeros((0, 3), f), np.zeros((0, 4), f), np.zeros((0, 3), f), np.zeros(0, f), np.zeros((0, 3), f),
-        np.zeros((0, 3), f), np.zeros(0, np.uint8), np.zeros(0, np.uint32), np.zeros(0, np.int32),
-    )  # fmt: skip
-    nodes = NodeStates(
-        np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((0, 3)), nothing, nothing
-    )
-    return TwinState(stamp, FrameSet(stamp, (view,)), cloud, nodes, (np.zeros((64, 64), np.bool_),), (None,))
+    frames, still = FrameSet(stamp, (view,)), np.zeros((64, 64), np.bool_)
+    return TwinState(stamp, frames, GaussianCloud.none(), NodeStates.none(), (still,), (None,))
 
 
 def occupancy(stamp: int, points: Float64, unknown: Bool | None = None) -> Occupancy:

@@ -86,15 +86,12 @@ def seen(stamp: int, level: float, is_followed: bool = True) -> Tick:
     frames, levelled = (FrameSet(stamp, (View(CAMERA, stamp, image),)) for image in images)
     if not is_followed:
         return Tick(frames)
-    three, four, one = (np.empty((0, width), np.float32) for width in (3, 4, 1))
-    none = np.empty(0, np.uint32)
-    cloud = GaussianCloud(
-        three, four, three, one[:, 0], three, three, none.astype(np.uint8), none, none.astype(np.int32)
-    )
-    nodes = NodeStates(none, *(np.empty((0, width)) for width in (3, 4, 3, 3)), *[np.empty(0)] * 2)
     light = Exposure(np.ones(3, np.float32), np.full(3, 0.25, np.float32))
     mask = np.zeros((12, 16), np.bool_)
-    return Tick(frames, TwinState(stamp, levelled, cloud, nodes, (mask,), (None,), exposures=(light,)))
+    return Tick(
+        frames,
+        TwinState(stamp, levelled, GaussianCloud.none(), NodeStates.none(), (mask,), (None,), exposures=(light,)),
+    )
 
 
 @pytest.mark.parametrize("is_followed", [True, False])

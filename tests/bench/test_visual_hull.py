@@ -51,9 +51,7 @@ def state() -> TwinState:
     cloud = GaussianCloud(
         around, quats, fours, fours[:, 0], fours, 0 * fours, np.zeros(4, np.uint8), ids, np.full(4, -1, np.int32)
     )
-    none = np.zeros((0, 3))
-    nodes = NodeStates(np.zeros(0, np.uint32), none, np.zeros((0, 4)), none, none, np.zeros(0), np.zeros(0))
-    return TwinState(1, FrameSet(1, views), cloud, nodes, masks, (None,) * 3)
+    return TwinState(1, FrameSet(1, views), cloud, NodeStates.none(), masks, (None,) * 3)
 
 
 @pytest.mark.parametrize(("degrees", "nearest"), [(20, 0), (100, 1), (215, 2)])

@@ -63,33 +63,6 @@ def floor_depth(cam: Camera) -> Float32:
     return np.where(down < -1e-3, -cam.T_base_cam[2, 3] / np.minimum(down, -1e-3), 9.0).astype(np.float32)
 
 
-def empty_cloud() -> GaussianCloud:
-    f = np.float32
-    return GaussianCloud(
-        np.zeros((0, 3), f),
-        np.zeros((0, 4), f),
-        np.zeros((0, 3), f),
-        np.zeros(0, f),
-        np.zeros((0, 3), f),
-        np.zeros((0, 3), f),
-        np.zeros(0, np.uint8),
-        np.zeros(0, np.uint32),
-        np.zeros(0, np.int32),
-    )
-
-
-def no_nodes() -> NodeStates:
-    return NodeStates(
-        np.zeros(0, np.uint32),
-        np.zeros((0, 3)),
-        np.zeros((0, 4)),
-        np.zeros((0, 3)),
-        np.zeros((0, 3)),
-        np.zeros(0),
-        np.zeros(0),
-    )
-
-
 def texture(points: Float64) -> Float64:
     """[..., 3] colours of a pattern that sticks to a surface, 0 to 255."""
     waves = np.sin(points * 70) + np.sin(points[..., [1, 2, 0]] * 43)
@@ -118,7 +91,7 @@ def state_of(
         masks.append(mask)
     robots = (None,) * len(cameras) if robot_masks is None else robot_masks
     frames = FrameSet(stamp, tuple(views))
-    return TwinState(stamp, frames, empty_cloud(), no_nodes(), tuple(masks), robots)
+    return TwinState(stamp, frames, GaussianCloud.none(), NodeStates.none(), tuple(masks), robots)
 
 
 def ball_voxels(center: Float64, radius: float = 0.12, grid: Grid = GRID) -> np.ndarray:

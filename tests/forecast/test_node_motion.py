@@ -56,6 +56,5 @@ def test_a_new_node_and_none_at_all_are_forecast_too() -> None:
     for index in range(6):
         motion.advance(index * DT_NS, node(np.zeros(3), np.eye(3), name=index // 3), AHEAD_S)
     assert motion.ahead(AHEAD_S).shifts == pytest.approx(np.zeros((1, 3)), abs=1e-9)
-    none = NodeStates(np.zeros(0, np.uint32), *(np.zeros((0, k)) for k in (3, 4, 3, 3)), np.zeros(0), np.zeros(0))
-    motion.advance(6 * DT_NS, none, AHEAD_S)
+    motion.advance(6 * DT_NS, NodeStates.none(), AHEAD_S)
     assert motion.ahead(AHEAD_S).shifts.shape == (0, 3)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, HEIGHT, WIDTH, camera, empty_cloud, floor_depth, state_of
+from forecast_worlds import GRID, HEIGHT, WIDTH, camera, floor_depth, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,7 @@ from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
 from twin_node.forecast.tables import RigTables
-from twin_node.scene import Float32, Grid, Tier, TwinState, View
+from twin_node.scene import Float32, GaussianCloud, Grid, Tier, TwinState, View
 
 CAMERA = camera("cam", np.array([1.3, 0.7, 1.0]))
 
@@ -52,7 +52,7 @@ def test_the_floor_is_marked_where_it_is_asked_for() -> None:
 @pytest.mark.parametrize("with_depth", [False, True])
 def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(with_depth: bool) -> None:
     standing = replace(
-        empty_cloud(),
+        GaussianCloud.none(),
         means=np.array([[0.0, 0.0, 0.3]], np.float32),
         quats=np.array([[1, 0, 0, 0]], np.float32),
         scales=np.full((1, 3), 0.01, np.float32),

@@ -7,13 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from forecast_worlds import empty_cloud, no_nodes
 
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.score import score_points
 from twin_node.model.moving_mask import MovingMask
 from twin_node.rig import Undistorter, load_rig
-from twin_node.scene import FrameSet, TwinState
+from twin_node.scene import FrameSet, GaussianCloud, NodeStates, TwinState
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data" / "walker_4cam"
@@ -43,7 +42,7 @@ def states() -> list[TwinState]:
     for together in zip(*views, strict=True):
         frames, robots = FrameSet(together[0].stamp, together), (None,) * len(together)
         masks = mask.update(frames, robots)
-        found.append(TwinState(frames.stamp, frames, empty_cloud(), no_nodes(), masks, robots))
+        found.append(TwinState(frames.stamp, frames, GaussianCloud.none(), NodeStates.none(), masks, robots))
     return found
 
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from model_scenes import BLOCK_SPEED, rig, sliding
 
@@ -111,8 +110,7 @@ def test_a_process_that_dies_is_told_of(process: ModelProcess) -> None:
 
 def test_a_process_that_hangs_is_ended_and_told_of(process: ModelProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     os.kill(process.pid, signal.SIGSTOP)  # it will never even have loaded
-    nobody, nothing = GaussianCloud(*[np.empty(0)] * 9), NodeStates(*[np.empty(0)] * 7)
-    process.follow(TwinState(1, FrameSet(1, ()), nobody, nothing, (), ()))
+    process.follow(TwinState(1, FrameSet(1, ()), GaussianCloud.none(), NodeStates.none(), (), ()))
     now = [time.monotonic()]
     monkeypatch.setattr("twin_node.model.model_process.time", SimpleNamespace(monotonic=lambda: now[0]))
     now[0] += 2 * PATIENCE_S

@@ -29,11 +29,6 @@ def cloud(count: int) -> GaussianCloud:
     return GaussianCloud(three, four, three, one, three, three, tiers, ids, np.full(count, -1, np.int32))
 
 
-def nodes() -> NodeStates:
-    """None."""
-    return NodeStates(np.empty(0, np.uint32), *(np.empty((0, width)) for width in (3, 4, 3, 3)), *[np.empty(0)] * 2)
-
-
 class Cell:
     """A bus with a collector, on which sets are told of."""
 
@@ -48,7 +43,7 @@ class Cell:
     def see(self, stamp: int, followed: int) -> TwinState:
         """A set goes through the chain while the newest cloud follows another; a cloud has as many as its stamp."""
         frames = FrameSet(stamp, (), sequence=stamp)
-        state = TwinState(stamp, frames, cloud(followed), nodes(), (), (), followed=followed)
+        state = TwinState(stamp, frames, cloud(followed), NodeStates.none(), (), (), followed=followed)
         decision = Separation.without_pair(stamp, stamp, 1.0, "clear")
         for topic, message in (
             *((FRAMES, frames), (TRUSTED_FRAMES, frames), (SEEN, state)),

@@ -57,9 +57,8 @@ def tick(number: int, late: int | None = LATE, is_dropped: bool = False, *, ligh
     frames = FrameSet(stamp, views)
     if is_dropped:
         return Tick(frames)
-    nodes = NodeStates(np.empty(0, np.uint32), *(np.empty((0, width)) for width in (3, 4, 3, 3)), *[np.empty(0)] * 2)
     masks = (np.zeros((36, 48), np.bool_),) * 2
-    state = TwinState(stamp, frames, cloud(number), nodes, masks, (None, None), exposures=(light, light))
+    state = TwinState(stamp, frames, cloud(number), NodeStates.none(), masks, (None, None), exposures=(light, light))
     return Tick(frames, state, published=None if late is None else stamp + late)
 
 

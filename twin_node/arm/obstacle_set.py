@@ -57,12 +57,7 @@ class ObstacleSet:
     @staticmethod
     def empty() -> ObstacleSet:
         """No obstacles."""
-        nothing, times = np.empty((0, 3)), np.empty(0, np.int64)
-        kinds = np.empty(0, np.uint8)
-        ids = np.empty(0, np.uint32)
-        return ObstacleSet.of(
-            Obstacles(0, ids, kinds, kinds, nothing, np.empty((0, 4)), nothing, nothing, np.empty(0), times, times)
-        )
+        return ObstacleSet.of(Obstacles.none())
 
     def __len__(self) -> int:
         return len(self.centers)

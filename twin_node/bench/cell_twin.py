@@ -277,9 +277,8 @@ class BySight:
         if found is None:
             return None
         kept = found.as_seen | (found.kinds != ObstacleKind.MOVING)
-        columns = {name: values[kept] for name, values in vars(found).items() if isinstance(values, np.ndarray)}
-        unknown = {"velocities": np.zeros((int(kept.sum()), 3)), "reach_speeds": None, "reach_delays": None}
-        return replace(found, **columns | unknown)
+        still = np.zeros((int(kept.sum()), 3))
+        return replace(found.only(kept), velocities=still, reach_speeds=None, reach_delays=None)
 
 
 def _topics(rig: SimulatedRig) -> tuple[CameraTopics, ...]:

@@ -112,9 +112,8 @@ def _state(number: int) -> TwinState:
         pattern = (np.indices((HEIGHT, WIDTH)).sum(axis=0) * 37 + 11 * number * mask) % 200
         views.append(View(camera, stamp, np.repeat(pattern[..., None], 3, axis=2).astype(np.uint8), depth))
         masks.append(mask)
-    nothing = np.zeros((0, 3))
-    nodes = NodeStates(np.zeros(0, np.uint32), nothing, np.zeros((0, 4)), nothing, nothing, np.zeros(0), np.zeros(0))
-    return TwinState(stamp, FrameSet(stamp, tuple(views)), _floor(), nodes, tuple(masks), (None,) * len(views))
+    frames, robots = FrameSet(stamp, tuple(views)), (None,) * len(views)
+    return TwinState(stamp, frames, _floor(), NodeStates.none(), tuple(masks), robots)
 
 
 def _seen(camera: Camera, center: Float64) -> tuple[Float32, Bool]:

@@ -13,8 +13,6 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from twin_node.bench.graph_run import GraphRun
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import read_launch_file
@@ -71,7 +69,7 @@ def _publish_obstacles(endpoint: str, ended: threading.Event) -> None:
     due = time.monotonic()
     while not ended.wait(max(0.0, due - time.monotonic())):
         due += 1 / RATE_HZ
-        send(convert.obstacles_to_message(_nothing(time.time_ns())))
+        send(convert.obstacles_to_message(Obstacles.none(time.time_ns())))
     wire.close()
     if router is not None:
         router.close()
@@ -94,24 +92,6 @@ def _drive_arm(endpoint: str, routers: tuple[str, ...], ended: threading.Event) 
                 run.spin(0.2, ended.is_set)
         finally:
             run.close()
-
-
-def _nothing(stamp: int) -> Obstacles:
-    """No obstacle at all."""
-    none = np.zeros(0)
-    return Obstacles(
-        stamp,
-        none.astype(np.uint32),
-        none.astype(np.uint8),
-        none.astype(np.uint8),
-        np.zeros((0, 3)),
-        np.zeros((0, 4)),
-        np.zeros((0, 3)),
-        np.zeros((0, 3)),
-        none,
-        none.astype(np.int64),
-        none.astype(np.int64),
-    )
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -217,25 +217,6 @@ def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:
     A forecast begins when it can be acted on: in lockstep that is the assumed latency after its log time.
     """
     if obstacles is None or not len(obstacles.ids):
-        return _NO_OBSTACLES
+        return Obstacles.none()
     at = max(stamp, obstacles.begins)
-    chosen = (obstacles.valid_from <= at) & (at <= obstacles.valid_to)
-    columns: dict[str, Any] = {
-        name: None if values is None else values[chosen] for name, values in vars(obstacles).items() if name != "stamp"
-    }
-    return Obstacles(stamp=obstacles.stamp, **columns)
-
-
-_NO_OBSTACLES = Obstacles(
-    0,
-    np.empty(0, np.uint32),
-    np.empty(0, np.uint8),
-    np.empty(0, np.uint8),
-    np.empty((0, 3)),
-    np.empty((0, 4)),
-    np.empty((0, 3)),
-    np.empty((0, 3)),
-    np.empty(0),
-    np.empty(0, np.int64),
-    np.empty(0, np.int64),
-)
+    return obstacles.only((obstacles.valid_from <= at) & (at <= obstacles.valid_to))

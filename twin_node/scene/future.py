@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,6 +135,20 @@ class Obstacles:
     time since the evidence less `reach_delays`. 0 where nobody says; None where that is so of all."""
     reach_delays: Float64 | None = None
     """[n] s, negative where it may be farther."""
+
+    @classmethod
+    def none(cls, stamp: int = 0) -> Obstacles:
+        """No obstacle at all, by evidence of a stamp, ns."""
+        three, one, kinds, times = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.uint8), np.zeros(0, np.int64)
+        return cls(
+            stamp, np.zeros(0, np.uint32), kinds, kinds, three, np.zeros((0, 4)), three, three, one, times, times
+        )
+
+    def only(self, chosen: Bool) -> Obstacles:
+        """Those of a mask [n]."""
+        columns: dict[str, Any] = {name: values for name, values in vars(self).items() if name != "stamp"}
+        columns = {name: None if values is None else values[chosen] for name, values in columns.items()}
+        return Obstacles(stamp=self.stamp, **columns)
 
     @property
     def as_seen(self) -> Bool:

@@ -45,6 +45,13 @@ class GaussianCloud:
     nodes: NDArray[np.int32]
     """[N] row in `NodeStates` of the node that carries it, -1 for none."""
 
+    @classmethod
+    def none(cls) -> GaussianCloud:
+        """No Gaussian at all."""
+        three, four, one = (np.zeros((0, width), np.float32) for width in (3, 4, 1))
+        tiers, ids = np.zeros(0, np.uint8), np.zeros(0, np.uint32)
+        return cls(three, four, three, one[:, 0], three, three, tiers, ids, np.zeros(0, np.int32))
+
     def only(self, chosen: Bool | NDArray[np.integer]) -> GaussianCloud:
         """The chosen Gaussians: a mask [N], or rows in the order wanted."""
         rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen  # once, not for every attribute
@@ -77,6 +84,12 @@ class NodeStates:
     """[M] 1 sigma of the position, m."""
     radii: Float64
     """[M] radius of the sphere about `positions` that holds the means of the Gaussians it carries, m."""
+
+    @classmethod
+    def none(cls) -> NodeStates:
+        """No node at all."""
+        three, one = np.zeros((0, 3)), np.zeros(0)
+        return cls(np.zeros(0, np.uint32), three, np.zeros((0, 4)), three, three, one, one)
 
 
 @dataclass(frozen=True)
