@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeVar
 
-import numpy as np
-
 from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.cloud_updates import updated
 from twin_node.nodes.topics import (

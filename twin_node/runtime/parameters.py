@@ -97,36 +97,47 @@ def _default_of(field: dataclasses.Field[Any], whole: Any) -> Any:
     return None if field.default is dataclasses.MISSING else field.default
 
 
-def _convert(  # noqa: PLR0911, PLR0912 (a case per kind of type)
-    hint: Any, value: Any, where: str, default: Any = None
-) -> Any:
+def _convert(hint: Any, value: Any, where: str, default: Any = None) -> Any:
+    """A value as a field of type `hint` takes it."""
     origin = typing.get_origin(hint)
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        if not isinstance(value, Mapping):
-            raise ParameterError(f"{where}: expected keys and values, found {told(value)}")
-        return _fill(hint, value, where, default if isinstance(default, hint) else None)
     if origin in (types.UnionType, typing.Union):
         if value is None and type(None) in typing.get_args(hint):
             return None
-        return _convert(next(a for a in typing.get_args(hint) if a is not type(None)), value, where, default)
+        hint = next(a for a in typing.get_args(hint) if a is not type(None))
+        return _convert(hint, value, where, default)
     if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise ParameterError(f"{where}: expected a list, found {told(value)}")
-        arguments = typing.get_args(hint)
-        inner = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else list(arguments)
-        if len(inner) != len(value):
-            raise ParameterError(f"{where}: expected {len(inner)} values, found {len(value)}")
-        return tuple(_convert(a, v, where) for a, v in zip(inner, value, strict=True))
-    if isinstance(hint, type) and issubclass(hint, Enum) and not isinstance(value, hint):
-        members = {str(member.value): member for member in hint}
-        if str(value) not in members:
-            raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {told(value)}")
-        return members[str(value)]
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return _tuple(typing.get_args(hint), value, where)
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return _fill(hint, value, where, default if isinstance(default, hint) else None)
+    return _member(hint, value, where) if issubclass(hint, Enum) else _plain(hint, value, where)
+
+
+def _tuple(hints: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise ParameterError(f"{where}: expected a list, found {told(value)}")
+    inner = hints[:1] * len(value) if hints[-1] is Ellipsis else hints
+    if len(inner) != len(value):
+        raise ParameterError(f"{where}: expected {len(inner)} values, found {len(value)}")
+    return tuple(_convert(a, v, where) for a, v in zip(inner, value, strict=True))
+
+
+def _member(hint: type[Enum], value: Any, where: str) -> Enum:
+    if isinstance(value, hint):
+        return value
+    members = {str(member.value): member for member in hint}
+    if str(value) not in members:
+        raise ParameterError(f"{where}: expected one of {', '.join(members)}, found {told(value)}")
+    return members[str(value)]
+
+
+def _plain(hint: type, value: Any, where: str) -> Any:
+    """A number, a truth value or a text; a whole number will do for any."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if hint is float and is_whole:
         if abs(value) > sys.float_info.max:
             raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
         return float(value)
-    if isinstance(hint, type) and (not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool)):
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
         raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {told(value)}")
     if isinstance(value, float) and math.isnan(value):
         raise ParameterError(f"{where}: expected a number, found nan")
