@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.simulated_rigs import BOARD, START_NS, RigSpread, SimulatedRig, simulated_rig
-from twin_node.bench.workers import workers
+from twin_node.bench.workers import spread
 from twin_node.geometry import pose, transform
 from twin_node.rig.calibrate.extrinsics import RigSolution, calibrate_rig
 from twin_node.rig.calibrate.lenses import project
@@ -112,12 +112,9 @@ def run(
     if rigs < 1:
         raise BenchError(f"bench calibration: expected at least one rig, found {rigs}")
     start, seeds = perf_counter(), range(seed, seed + rigs)
-    if processes == 1:
-        results = tuple(progress(map(measure, seeds)))
-    else:
+    if processes > 1:
         os.environ["OMP_NUM_THREADS"] = "1"  # processes share the cores instead of fighting for them
-        with workers(processes) as pool:
-            results = tuple(progress(pool.map(measure, seeds)))
+    results = tuple(progress(spread(measure, seeds, processes)))
     return CalibrationBench(results, perf_counter() - start)
 
 

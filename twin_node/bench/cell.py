@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
 from twin_node.bench.errors import BenchError
-from twin_node.bench.workers import workers
+from twin_node.bench.workers import spread
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
 from twin_node.ranges import Range, check_ranges
@@ -163,15 +163,7 @@ def run(
             )
     seeds = range(parameters.first_seed, parameters.first_seed + parameters.seeds)
     jobs = [Job(name, seed, parameters) for seed in seeds for name in parameters.scenarios]
-    return list(progress(_results(jobs, min(parameters.processes, len(jobs))), len(jobs)))
-
-
-def _results(jobs: Sequence[Job], processes: int) -> Iterator[CaseResult]:
-    if processes <= 1:
-        yield from map(run_case, jobs)
-        return
-    with workers(processes) as pool:
-        yield from pool.map(run_case, jobs)
+    return list(progress(spread(run_case, jobs, parameters.processes), len(jobs)))
 
 
 def summary(results: Sequence[CaseResult]) -> dict[str, object]:

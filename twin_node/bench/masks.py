@@ -9,6 +9,7 @@ import numpy as np
 
 from twin_node.bench.mask_scores import MaskFigures, MaskTally, PixelKinds, compare, figures_of
 from twin_node.bench.mask_truth import MovingParts
+from twin_node.bench.results_folder import markdown_table
 from twin_node.bench.seeds import at_width
 from twin_node.cell import CellSource, Scenario
 from twin_node.model import MovingMask, SeedParameters
@@ -108,8 +109,7 @@ HEADINGS = (
 
 def table(benches: Iterable[MasksBench]) -> str:
     """A Markdown table, one scenario per line."""
-    lines = (HEADINGS, ("---",) * len(HEADINGS), *(bench.row for bench in benches))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown_table(HEADINGS, (bench.row for bench in benches))
 
 
 def run(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,6 +56,11 @@ def save_text(folder: Path, name: str, text: str) -> None:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise _unwritable(folder, name, error) from error
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Lines of a table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ("---",) * len(heads), *rows))
 
 
 def _unwritable(folder: Path, what: str, error: OSError) -> BenchError:

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
+from twin_node.bench.results_folder import markdown_table
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
@@ -138,8 +139,7 @@ def _percent(share: float | None) -> str:
 
 def table(benches: Iterable[SeedsBench]) -> str:
     """A Markdown table, one scenario per line."""
-    lines = (HEADINGS, ("---",) * len(HEADINGS), *(bench.row for bench in benches))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown_table(HEADINGS, (bench.row for bench in benches))
 
 
 def run_seeds(

@@ -6,9 +6,13 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 
 def _nothing() -> None:
@@ -38,6 +42,19 @@ def workers(count: int, begin: Callable[[], None] = _nothing, fresh: bool = Fals
         raise
     finally:
         pool.shutdown(cancel_futures=True)  # waits: a pool that still shuts down as Python ends may raise there
+
+
+def spread(
+    work: Callable[[Job], Result], jobs: Sequence[Job], count: int, begin: Callable[[], None] = _nothing
+) -> Iterator[Result]:
+    """What comes of jobs, in their order, worked on by `count` processes as `workers` has them; by this one, where one
+    is enough."""
+    count = min(count, len(jobs))
+    if count <= 1:
+        yield from map(work, jobs)
+        return
+    with workers(count, begin) as pool:
+        yield from pool.map(work, jobs)
 
 
 def _begin(begin: Callable[[], None]) -> None:

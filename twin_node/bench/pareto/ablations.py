@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
@@ -13,6 +13,7 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
 from twin_node.bench.pareto.suite import check_names
+from twin_node.bench.results_folder import markdown_table
 from twin_node.bench.workers import workers
 from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
@@ -152,12 +153,8 @@ def run(parameters: AblationParameters, progress: Progress = lambda rows, total:
         with LogSession(log, start_offset_s=parameters.start_offset_s):
             pass
     jobs = [_Job(log, name, parameters) for log in parameters.logs for name in parameters.names]
-    return list(progress(_results(jobs, parameters.processes), len(jobs)))
-
-
-def _results(jobs: list[_Job], processes: int) -> Iterator[Ablated]:
-    with workers(processes) as pool:
-        yield from pool.map(_follow, jobs)
+    with workers(parameters.processes) as pool:
+        return list(progress(pool.map(_follow, jobs), len(jobs)))
 
 
 def as_json(rows: Iterable[Ablated]) -> dict[str, object]:
@@ -224,11 +221,8 @@ def text(rows: Sequence[Ablated]) -> str:
 def markdown(rows: Sequence[Ablated]) -> str:
     """One table of all logs, as Markdown."""
     heads = ("data", "left out", *(name.replace("_", " ") for name in _COLUMNS))
-    table = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
-    for row in rows:
-        cells = (_cell(getattr(row, name)) for name in _COLUMNS)
-        table.append(f"| {row.data} | {row.name.replace('_', ' ')} | {' | '.join(cells)} |")
-    return "\n".join(table) + "\n"
+    cells = ((row.data, row.name.replace("_", " "), *(_cell(getattr(row, name)) for name in _COLUMNS)) for row in rows)
+    return markdown_table(heads, cells) + "\n"
 
 
 def _cell(value: float | None) -> str:

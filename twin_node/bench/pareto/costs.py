@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -69,18 +69,14 @@ def run(
     jobs = [_Job("moving", crowd(share, parameters.seconds), plain) for share in SHARES]
     scene = crowd(SCENE_SHARE, parameters.seconds)
     jobs += [_Job("scene", scene, _with_room(plain, capacity)) for capacity in CAPACITIES]
-    return list(progress(_results(jobs, parameters.processes), len(jobs)))
+    with workers(parameters.processes, fresh=True) as pool:
+        return list(progress(pool.map(_measure, jobs), len(jobs)))
 
 
 def _with_room(model: ModelParameters, capacity: int) -> ModelParameters:
     birth = replace(model.birth, moving_share=MOST_MOVING / capacity)
     seed = replace(model.seed, stride_px=1)  # as fine as there is room for
     return replace(model, gaussians_per_pixel=10.0, most_gaussians=capacity, birth=birth, seed=seed)
-
-
-def _results(jobs: Sequence[_Job], processes: int) -> Iterator[Cost]:
-    with workers(processes, fresh=True) as pool:
-        yield from pool.map(_measure, jobs)
 
 
 BOX_SCALE = 1.5

@@ -14,7 +14,7 @@ import torch
 
 from twin_node.bag.qos import is_latched
 from twin_node.bench.errors import BenchError
-from twin_node.bench.results_folder import save_chart
+from twin_node.bench.results_folder import markdown_table, save_chart
 from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.cell import CellSource, Scenario
@@ -247,8 +247,7 @@ def text(found: Length) -> str:
 
 def markdown(found: Length) -> str:
     """The run as a table in Markdown."""
-    rows = [HEADS, ("---",) * len(HEADS), *_rows(found)]
-    return "\n".join([f"| {' | '.join(row)} |" for row in rows] + ["", _verdict(found), ""])
+    return f"{markdown_table(HEADS, _rows(found))}\n\n{_verdict(found)}\n"
 
 
 def _rows(found: Length) -> Iterator[tuple[str, ...]]:

@@ -10,6 +10,7 @@ from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import against_hexplane, said
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.bench.pareto.suite import Pareto
+from twin_node.bench.results_folder import markdown_table
 from twin_node.nodes.sizes import SIZES
 
 COLUMNS: dict[str, Callable[[Point], float | int | None]] = {
@@ -49,17 +50,13 @@ def markdown(found: Pareto) -> str:
     """The tables as Markdown."""
     lines = []
     for data, points in found.by_data().items():
-        lines += [
-            f"### {data}",
-            "",
-            "| method (\\* online, **on the front**) | " + " | ".join(COLUMNS) + " |",
-            "|" + " --- |" * (len(COLUMNS) + 1),
-        ]
+        rows = []
         for point in points:
             title = point.title + (" \\*" if point.online else "")
             title = f"**{title}**" if on_front(point, found.points) else title
-            lines.append(f"| {title} | " + " | ".join(_cell(value(point)) for value in COLUMNS.values()) + " |")
-        lines.append("")
+            rows.append((title, *(_cell(value(point)) for value in COLUMNS.values())))
+        heads = ("method (\\* online, **on the front**)", *COLUMNS)
+        lines += [f"### {data}", "", markdown_table(heads, rows), ""]
     return "\n".join([*lines, *(f"- {verdict}" for verdict in _verdicts(found))]) + "\n"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin_node.bench.results_folder import save_chart
+from twin_node.bench.results_folder import markdown_table, save_chart
 from twin_node.bench.stability.case import BASELINES
 from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.pictures import OURS
@@ -48,18 +48,15 @@ def text(found: Stability) -> str:
 
 def markdown(found: Stability) -> str:
     """The table of levels at which each method gives way, as Markdown."""
-    lines = [
-        "| failure, levels tried | " + " | ".join(TITLES.values()) + " | litres, ours / worst case |",
-        "|" + " --- |" * (len(TITLES) + 2),
-    ]
+    rows = []
     for failure, levels in found.failures.items():
         one = FAILURES[failure]
         tried = ", ".join(f"{level.level:g}" for level in levels)
-        cells = [_cell(found.gives_way(name, failure)) for name in TITLES]
-        cells.append(_blocked(found, failure))
-        lines.append(f"| {one.title}: {tried} {one.unit} | " + " | ".join(cells) + " |")
-    lines.append("| silent failures | " + " | ".join(_silent(found, name) for name in TITLES) + " | |")
-    return "\n".join(lines) + "\n"
+        cells = (_cell(found.gives_way(name, failure)) for name in TITLES)
+        rows.append((f"{one.title}: {tried} {one.unit}", *cells, _blocked(found, failure)))
+    rows.append(("silent failures", *(_silent(found, name) for name in TITLES), ""))
+    heads = ("failure, levels tried", *TITLES.values(), "litres, ours / worst case")
+    return markdown_table(heads, rows) + "\n"
 
 
 def draw(found: Stability, folder: Path) -> Path:

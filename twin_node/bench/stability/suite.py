@@ -14,7 +14,7 @@ from twin_node.bench.stability.failures import FAILURES, LONG, UNDISTURBED
 from twin_node.bench.stability.pictures import OURS, PICTURES
 from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
-from twin_node.bench.workers import workers
+from twin_node.bench.workers import spread
 from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
 
 LEAST_PICTURE_DB = 15.0
@@ -191,7 +191,7 @@ def run(
     """Runs the suite."""
     parameters = parameters or StabilityParameters()
     cases = list(_cases(parameters))
-    return summed(list(progress(_results(cases, parameters.processes), len(cases))), parameters)
+    return summed(list(progress(spread(run_case, cases, parameters.processes, _one_thread), len(cases))), parameters)
 
 
 def _cases(parameters: StabilityParameters) -> Iterator[Case]:
@@ -206,14 +206,6 @@ def chosen_levels(levels: Sequence[float], most: int | None) -> tuple[float, ...
     if most is None or len(levels) <= most:
         return tuple(levels)
     return tuple(levels[len(levels) - 1 - (index * len(levels)) // most] for index in reversed(range(most)))
-
-
-def _results(cases: Sequence[Case], processes: int) -> Iterator[CaseResult]:
-    if processes <= 1 or len(cases) <= 1:
-        yield from map(run_case, cases)
-        return
-    with workers(min(processes, len(cases)), _one_thread) as pool:
-        yield from pool.map(run_case, cases)
 
 
 def _one_thread() -> None:
