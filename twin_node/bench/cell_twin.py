@@ -16,16 +16,17 @@ from twin_node.bench.cell_case import CellCase
 from twin_node.bench.errors import BenchError
 from twin_node.cell.closed_loop import LoopRecord
 from twin_node.cell.program import RunningProgram
-from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure, SimulatedRig
 from twin_node.cell.ur_arm import DrivenArm
 from twin_node.messages import Message, convert
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.latency import Latency
+from twin_node.nodes.live.cell import depth_m
+from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.model import Following
 from twin_node.nodes.synchronizer import SynchronizerNode
-from twin_node.nodes.topics import COMPRESSED, FRAMES, JOINT_STATES, OBSTACLES, RAW, CameraTopics
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, OBSTACLES
 from twin_node.robot import UR_NAMES, forward_kinematics, place_capsules
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -83,6 +84,7 @@ def run_twin(case: CellCase, width: int, pace: Pace | None, by_sight: bool = Fal
     return TwinRun(record, seen.timing, float(first_seen_s))
 
 
+TOPICS = RigParameters(depth="depth/image_rect")
 TRANSPORT_NS = 2_300_000
 """From camera to chain and on to the arm's node, ns: a hop of an image, its depth and the obstacles (`bench graph`)."""
 
@@ -163,8 +165,9 @@ class TwinPerception:
         self._pace = pace
         self._reading, self._working = LocalBus(), LocalBus()
         self._reading_clock, self._clock = SteppedClock(scenario.start_ns), _WorkClock(scenario.start_ns)
+        cameras = tuple(topics_of(camera.name, TOPICS) for camera in self._rig.cameras)
         synchronizer = SynchronizerNode(
-            self._reading, self._reading_clock, _topics(self._rig), self._rig.rig, parameters.synchronizer
+            self._reading, self._reading_clock, cameras, self._rig.rig, parameters.synchronizer
         )
         synchronizer.configure()
         synchronizer.activate()
@@ -220,9 +223,9 @@ class TwinPerception:
             owners = self._rig.see(exposure.camera, exposure.stamp).owners
             if np.isin(owners, self._rig.world.people_owners).any():
                 self.first_seen_ns = exposure.stamp
-        topics = _topics_of(image.camera)
+        topics = topics_of(image.camera, TOPICS)
         assert topics.depth is not None
-        depth = convert.depth_image(image.camera, image.stamp, _metres(image))
+        depth = convert.depth_image(image.camera, image.stamp, depth_m(image))
         colour = convert.compressed_image(image.camera, image.stamp, image.rgb)
         before, begun = self._newest, time.process_time_ns()
         self._reading.publish(topics.depth, depth)
@@ -279,23 +282,3 @@ class BySight:
         kept = found.as_seen | (found.kinds != ObstacleKind.MOVING)
         still = np.zeros((int(kept.sum()), 3))
         return replace(found.only(kept), velocities=still, reach_speeds=None, reach_delays=None)
-
-
-def _topics(rig: SimulatedRig) -> tuple[CameraTopics, ...]:
-    return tuple(_topics_of(camera.name) for camera in rig.cameras)
-
-
-def _topics_of(camera: str) -> CameraTopics:
-    return CameraTopics(
-        name=camera,
-        image=f"/{camera}/image_raw/compressed",
-        image_type=COMPRESSED,
-        info=f"/{camera}/camera_info",
-        depth=f"/{camera}/depth/image_rect",
-        depth_type=RAW,
-    )
-
-
-def _metres(image: RawImage) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    metres = image.depth_mm.astype(np.float32) / np.float32(1000)
-    return np.full_like(metres, np.nan) if image.depth_is_nan else metres
