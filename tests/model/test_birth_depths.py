@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from model_scenes import table
-from test_steps import THRESHOLD, look_at, observe
+from test_steps import MOST, look_at, observe
 
 from twin_node.model import birth_depths
 from twin_node.model.birth_depths import CLOSER, FARTHEST, NEAREST, UNKNOWN, Pixels, known_depths
@@ -59,7 +59,7 @@ def noisy_births(seed: int) -> Births:
         replace(one, rgb=np.clip(one.rgb + noise.normal(0, 0.1, one.rgb.shape), 0, 1).astype(np.float32))
         for one in observe(table(), 0.1)
     ]
-    return find_births(observed, look_at(table()), THRESHOLD, BirthParameters())
+    return find_births(observed, look_at(table()), MOST)
 
 
 def off_the_block(births: Births) -> float:
@@ -79,9 +79,9 @@ def test_neighbours_that_look_alike_settle_the_depth_of_noisy_pixels(monkeypatch
 def test_what_no_other_view_looks_at_is_born_in_the_middle_of_where_none_looks(find: Find) -> None:
     observed = observe(table(), 0.1)
     blind = [observed[0], *(replace(one, usable=np.zeros_like(one.usable)) for one in observed[1:])]
-    shares = depth_shares(find(blind, look_at(table()), THRESHOLD, BirthParameters()), observed[0])
+    shares = depth_shares(find(blind, look_at(table()), MOST), observed[0])
     assert np.median(shares) == pytest.approx((NEAREST + FARTHEST) / 2, abs=0.03)
-    alone = depth_shares(find(observed[:1], look_at(table())[:1], THRESHOLD, BirthParameters()), observed[0])
+    alone = depth_shares(find(observed[:1], look_at(table())[:1], MOST), observed[0])
     assert np.median(alone) == pytest.approx(UNKNOWN, abs=0.03), "a camera without others guesses as before"
 
 

@@ -213,7 +213,7 @@ def births_at(*x: float, rgb: tuple[float, float, float] = ORANGE, on_background
     ids=["of its kind", "too few", "too far", "of another colour", "shadows"],
 )
 def test_what_rests_has_a_node_again_where_its_kind_is_born_beside_it(births: Births, wakes: bool) -> None:
-    gaussians, nodes, parameters = Gaussians(8, torch.device("cpu")), Nodes(2, 4), ModelParameters()
+    gaussians, nodes = Gaussians(8, torch.device("cpu")), Nodes(2, 4)
     place = torch.zeros(3, dtype=torch.float64)
     row = nodes.give_birth(place, place)
     gaussians.alive[:4], gaussians.nodes[:4] = True, row
@@ -223,7 +223,7 @@ def test_what_rests_has_a_node_again_where_its_kind_is_born_beside_it(births: Bi
     rested = int(nodes.ids[row])
     nodes.retire(torch.tensor([row]))
     resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
-    decisions = resting.rouse(births, parameters.birth.kin_m)
+    decisions = resting.rouse(births)
     assert [(one.kind, one.node, one.grounds) for one in decisions] == [(Kind.WOKEN, rested, BornBeside(3))] * wakes
     assert bool((gaussians.nodes[:4] >= 0).all()) == wakes
     assert bool((gaussians.rested[:4] == rested).all()) != wakes

@@ -139,7 +139,7 @@ def test_a_step_is_let_be_once_while_all_its_views_are_looked_through(steps: int
     parts = (whole.means[0], whole.quats[0], whole.scales, whole.opacities, 0.5 * whole.rgb)
     store.spawn(Newborns(*parts, Tier.STATIC, nobody), 0)
     backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
-    mapper, observer = Mapper(MapParameters(calm_s=0.05), store, backgrounds, count), Observer(0.1, 60.0)
+    mapper, observer = Mapper(MapParameters(calm_s=0.05), store, backgrounds, count), Observer(60.0)
     slices = []
     for index in range(2 * len(CAMERAS)):
         now, known = frames(index, None, CAMERAS), backgrounds.of(store, CAMERAS)
@@ -264,7 +264,7 @@ def half_a_table(arm: int) -> tuple[Gaussians, Backgrounds]:
 
 def filled(store: Gaussians, backgrounds: Backgrounds, most_static: int) -> list[float]:
     """What the images miss, set by set, of what a mapper makes of the whole table."""
-    mapper, observer = Mapper(MapParameters(), store, backgrounds, most_static), Observer(0.1, 60.0)
+    mapper, observer = Mapper(MapParameters(), store, backgrounds, most_static), Observer(60.0)
     nothing = [np.zeros((60, 80), bool)] * len(CAMERAS)
     errors = []
     for index in range(60):

@@ -25,12 +25,14 @@ from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Comparing, Observed, Observer, Pixels, compare, compare_reference
 from twin_node.model.occluders import occluders, occluders_reference
 from twin_node.model.plane import Plane
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rendering import Rendering, Splats, render
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Tier
 
 CAMERAS = rig(120, 90)
-THRESHOLD = 25 / 255
+MOST = 200
+"""Births per set."""
 
 
 def world(splats: Splats) -> tuple[Gaussians, Backgrounds]:
@@ -53,9 +55,11 @@ def observe(static: Splats, block_x: float | None, depth: bool = False, blind: i
     now = frames(1, block_x, CAMERAS, depth)
     with torch.no_grad():
         ground = [seen.rgb.numpy() for seen in render(static, CAMERAS)]
-    masks = [np.abs(view.rgb / 255 - rgb).max(-1) > THRESHOLD for view, rgb in zip(now.views, ground, strict=True)]
+    masks = [
+        np.abs(view.rgb / 255 - rgb).max(-1) > MOVING_THRESHOLD for view, rgb in zip(now.views, ground, strict=True)
+    ]
     masks = [mask & (index != blind) for index, mask in enumerate(masks)]
-    observer = Observer(THRESHOLD, 0.15)
+    observer = Observer(0.15)
     with torch.no_grad():
         rest = [to_bytes(seen) for seen in render(static, CAMERAS)]
     still = replace(now, views=tuple(replace(view, rgb=rgb) for view, rgb in zip(now.views, rest, strict=True)))
@@ -106,14 +110,14 @@ def test_what_reaches_in_from_beyond_the_edge_is_refuted_too() -> None:
 def test_what_alone_explains_what_depth_is_measured_of_is_needed(depth: bool) -> None:
     observed = observe(table(), 0.1, depth)
     points = np.array([[0.1, 0.0, 0.1], [-0.3, 0.2, 0.0], [9.0, 9.0, 9.0]])
-    assert are_needed(observed, [balls(points, 0.01)] * 3, THRESHOLD).tolist() == [depth, False, False]
+    assert are_needed(observed, [balls(points, 0.01)] * 3).tolist() == [depth, False, False]
 
 
 @pytest.mark.parametrize("depth", [False, True])
 def test_static_gaussians_of_a_thing_that_left_are_told_from_the_rest(depth: bool) -> None:
     static = joined(table(), block(-0.2))
     observed = observe(static, 0.25, depth)
-    evidence = judge_static(observed, look_at(joined(table(), block(0.25))), THRESHOLD)
+    evidence = judge_static(observed, look_at(joined(table(), block(0.25))))
     of_block = static.means[0, :, 2].numpy() > 0.06
     assert evidence.left[of_block].mean() > 0.2
     assert evidence.left[~of_block].mean() < 0.03
@@ -125,14 +129,14 @@ def test_what_is_behind_a_thing_that_left_leaves_with_it_where_depth_shows_the_g
     shown = look_at(joined(table(), block(0.25)))
     of_block = static.means[0, :, 2].numpy() > 0.06
     for judge in (judge_static, judge_static_reference):
-        assert judge(observed, shown, THRESHOLD).left[of_block].mean() > 0.95
+        assert judge(observed, shown).left[of_block].mean() > 0.95
 
 
 @pytest.mark.parametrize("depth", [False, True])
 def test_what_depth_and_colour_both_refute_needs_no_second_look(depth: bool) -> None:
     static = joined(table(), block(-0.2))
     observed = observe(static, 0.25, depth)
-    left = judge_static(observed, look_at(joined(table(), block(0.25))), THRESHOLD).left
+    left = judge_static(observed, look_at(joined(table(), block(0.25)))).left
     of_block = static.means[0, :, 2].numpy() > 0.06
     for one in observed:
         seen = one.background.static
@@ -162,7 +166,7 @@ def test_what_the_kernels_refute_is_what_is_refuted_in_numpy(depth: bool) -> Non
     assert 0.1 < expected.mean() < 0.95
     assert np.count_nonzero(found != expected) <= 1  # a pixel may be the next one by rounding
     shown = look_at(joined(table(), block(0.25)))
-    judged, reference = judge_static(observed, shown, THRESHOLD), judge_static_reference(observed, shown, THRESHOLD)
+    judged, reference = judge_static(observed, shown), judge_static_reference(observed, shown)
     assert reference.left.any() and reference.moving.any()
     assert np.array_equal(judged.left, reference.left) and np.array_equal(judged.moving, reference.moving)
 
@@ -187,7 +191,7 @@ def test_flow_from_rendering_to_image_gives_the_motion_of_a_node(depth: bool) ->
     left = before.means[0, :, 0].numpy() < 0.1
     nowhere, one = np.zeros((2, 3)), np.zeros(2, np.int64)
     cells = Cells(np.array([1, 2]), one, one, left.astype(np.int64), nowhere, nowhere)
-    twists = solve_twists(observed, renderings, flows, moving, own, cells, origins, 0.05, 0.5)
+    twists = solve_twists(observed, renderings, flows, moving, own, cells, origins, 0.05)
     assert twists.linear[0].numpy() == pytest.approx(shift, abs=0.008)
     assert twists.angular[0].norm() < 0.12
     assert 0 < twists.sigmas[0] < 0.01
@@ -332,7 +336,7 @@ def test_the_compiled_kernel_finds_what_stands_before_as_numpy_does() -> None:
 @pytest.mark.parametrize("is_first", [False, True])
 def test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(is_first: bool) -> None:
     rng, shape = np.random.default_rng(8), (9, 14)
-    rules, before = Comparing(0.1, 0.033, 0.05, is_first), None
+    rules, before = Comparing(0.033, 0.05, is_first), None
     for _ in range(4):
         image, background = rng.integers(0, 256, (*shape, 3), np.uint8), rng.random((*shape, 3), np.float32)
         near = background.copy()

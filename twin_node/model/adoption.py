@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,18 +16,20 @@ from twin_node.model.gaussians import LARGEST, Gaussians, Newborns
 from twin_node.model.kernels import kernels
 from twin_node.model.node_requests import GroupRequest, NearestRequest, NewbornRequest
 from twin_node.model.nodes import Nodes, Poses
-from twin_node.model.parameters import BirthParameters
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.native_library import addresses_of
 from twin_node.scene import Float32, Float64, Tier
 
 NEWBORN_OPACITY = 0.8
+KIN_M = 0.06
+"""A Gaussian joins the node of the nearest one of its colour, if that is nearer than this, m; else a node is born."""
+NODE_RADIUS_M = 0.12
+"""Radius within which Gaussians of one colour found a node together, m."""
 KIN_COLOUR = 0.15
 """Difference of colour (0 to 1, over the channels) that one kind may have at the same place: light and shade.
 Another colour begins another node; whether both are one body is for their motion to tell."""
 TOUCHING = 0.5
 """Share of the distance to its kind within which a point belongs to what is there, whatever its colour: texture."""
-
 FATE = 2.0
 """Times the radius of a node within which what starts to move at once does so together."""
 
@@ -55,41 +58,54 @@ class Adopted:
     """[n] id of the node that carried its kind first, -1 for none."""
 
 
-def adopt(births: Births, members: Members, nodes: Nodes, parameters: BirthParameters) -> Adopted:
+Adopt = Callable[[Float64, Float32, Members, Nodes, int], Adopted]
+"""Who carries points [n, 3] m of colours [n, 3]; nodes are founded where so many are together."""
+
+
+def adopt(births: Births, members: Members, nodes: Nodes, fewest: int) -> Adopted:
     """Who carries each birth: nobody what lies on the background or founds no node of its own."""
-    carriers = Adopted(np.full(len(births), -1, np.int64), np.full(len(births), -1, np.int64))
+    carriers = _nobody(len(births))
     off = ~births.on_background
-    found = adopt_points(births.means[off], births.rgb[off], members, nodes, parameters)
+    found = adopt_points(births.means[off], births.rgb[off], members, nodes, fewest)
     carriers.nodes[off], carriers.founders[off] = found.nodes, found.founders
     return carriers
 
 
-def adopt_points(
-    points: Float64,
-    rgb: Float32,
-    members: Members,
-    nodes: Nodes,
-    parameters: BirthParameters,
-    started: bool = False,
-) -> Adopted:
-    """Who carries each of `points` [n, 3] of colours `rgb` [n, 3]; nodes are founded where enough are together.
+def adopt_points(points: Float64, rgb: Float32, members: Members, nodes: Nodes, fewest: int) -> Adopted:
+    """Who carries each of `points` [n, 3] of colours `rgb` [n, 3]; nodes are founded where `fewest` are together: first
+    of one colour, then of any."""
+    carriers = _kin(points, rgb, members)
+    for places in (looks_of(points, rgb, NODE_RADIUS_M), points / NODE_RADIUS_M):
+        _found_together(points, places, carriers, members, nodes, fewest)
+    return carriers
 
-    Those that have `started` to move in one set are one body where they are near, whatever their colour, until their
-    motion says otherwise.
-    """
-    carriers = Adopted(np.full(len(points), -1, np.int64), np.full(len(points), -1, np.int64))
-    if len(members.nodes) and len(points):
-        for place, own in (
-            (looks_of(points, rgb, parameters.kin_m), looks_of(members.means, members.rgb, parameters.kin_m)),
-            (points / (TOUCHING * parameters.kin_m), members.means / (TOUCHING * parameters.kin_m)),
-        ):
-            without = np.flatnonzero(carriers.nodes < 0)
-            closest = nearest(place[without], own)
-            kin, closest = without[closest >= 0], closest[closest >= 0]
-            carriers.nodes[kin], carriers.founders[kin] = members.nodes[closest], members.founders[closest]
-    by_place = points / (FATE * parameters.node_radius_m if started else parameters.node_radius_m)
-    for places in (by_place,) if started else (looks_of(points, rgb, parameters.node_radius_m), by_place):
-        _found_together(points, places, carriers, members, nodes, parameters)
+
+def adopt_started(points: Float64, rgb: Float32, members: Members, nodes: Nodes, fewest: int) -> Adopted:
+    """The same of what started to move in one set: one body where it is near, whatever its colour, until its motion
+    says otherwise."""
+    carriers = _kin(points, rgb, members)
+    _found_together(points, points / (FATE * NODE_RADIUS_M), carriers, members, nodes, fewest)
+    return carriers
+
+
+def _nobody(count: int) -> Adopted:
+    return Adopted(np.full(count, -1, np.int64), np.full(count, -1, np.int64))
+
+
+def _kin(points: Float64, rgb: Float32, members: Members) -> Adopted:
+    """What is near enough to a member and looks like it, or touches one, is carried with that."""
+    carriers = _nobody(len(points))
+    if not len(members.nodes) or not len(points):
+        return carriers
+    touching_m = TOUCHING * KIN_M
+    for places, own in (
+        (looks_of(points, rgb, KIN_M), looks_of(members.means, members.rgb, KIN_M)),
+        (points / touching_m, members.means / touching_m),
+    ):
+        without = np.flatnonzero(carriers.nodes < 0)
+        closest = nearest(places[without], own)
+        kin, closest = without[closest >= 0], closest[closest >= 0]
+        carriers.nodes[kin], carriers.founders[kin] = members.nodes[closest], members.founders[closest]
     return carriers
 
 
@@ -117,16 +133,16 @@ def nearest_reference(places: Float64, own: Float64) -> NDArray[np.int64]:
 
 
 def _found_together(
-    points: Float64, looks: Float64, carriers: Adopted, members: Members, nodes: Nodes, parameters: BirthParameters
+    points: Float64, looks: Float64, carriers: Adopted, members: Members, nodes: Nodes, fewest: int
 ) -> None:
     """Founds nodes for those of `points` [n, 3] that nobody carries, where enough `looks` [n, d] are within 1."""
     homeless = np.nonzero(carriers.nodes < 0)[0]
     groups = grouped(looks[homeless])
-    for number in np.flatnonzero(np.bincount(groups) >= parameters.node_members):
+    for number in np.flatnonzero(np.bincount(groups) >= fewest):
         if not nodes.free:
             return
         group = homeless[groups == number]
-        row = _found(torch.from_numpy(points[group].mean(0)), members, nodes, parameters.node_radius_m)
+        row = _found(torch.from_numpy(points[group].mean(0)), members, nodes)
         carriers.nodes[group], carriers.founders[group] = row, int(nodes.ids[row])
 
 
@@ -156,10 +172,10 @@ def looks_of(points: Float64, rgb: Float32, reach_m: float) -> Float64:
     return looks.T
 
 
-def _found(centre: Tensor, members: Members, nodes: Nodes, radius_m: float) -> int:
-    """A new node, moving as those with Gaussians within twice `radius_m` do."""
+def _found(centre: Tensor, members: Members, nodes: Nodes) -> int:
+    """A new node, moving as those with Gaussians within twice `NODE_RADIUS_M` do."""
     apart = np.linalg.norm(members.means - centre.numpy(), axis=-1)
-    neighbours = torch.from_numpy(np.unique(members.nodes[apart < 2 * radius_m]))
+    neighbours = torch.from_numpy(np.unique(members.nodes[apart < 2 * NODE_RADIUS_M]))
     velocity = nodes.velocities[neighbours].mean(0) if len(neighbours) else torch.zeros(3, dtype=torch.float64)
     return nodes.give_birth(centre, velocity)
 

@@ -116,8 +116,8 @@ class Aligner:
         unseen_s: float,
     ) -> Twists:
         """What the images say that nodes at `poses` are off by; for the rest see `solve_twists`."""
-        flows, sigma_px = flows_between(renderings, observed), self._parameters.flow_sigma_px
-        return solve_twists(observed, renderings, flows, splats, carried, cells, poses.positions, unseen_s, sigma_px)
+        flows = flows_between(renderings, observed)
+        return solve_twists(observed, renderings, flows, splats, carried, cells, poses.positions, unseen_s)
 
     def _steer(self, steered: Tensor, twists: Twists, dt_s: float) -> None:
         """Nodes in rows `steered` [k] take their twists, of what has come since the set before, `dt_s` ago."""

@@ -27,6 +27,8 @@ LEAST_OFF, LEAST_TURNED = 2e-3, 1e-2
 """m and rad (1 sigma) that it is wrong by at least."""
 UNNOTICED_S = 0.13
 """For how long what now moves may have done so while it was taken to stand, s."""
+FLOW_SIGMA_PX = 0.5
+"""1 sigma of the optical flow on textured pixels: what a node's own sigma is derived from."""
 MOST_OBSERVATIONS = 1000
 """Gaussians per view whose flow is taken; with more, every n-th stands for its neighbours."""
 STRAIN = 0.05
@@ -59,13 +61,11 @@ def solve_twists(
     cells: Cells,
     origins: Tensor,
     unseen_s: float,
-    sigma_px: float,
 ) -> Twists:
     """The twist of each node that explains the flow under its Gaussians best, held to the prediction.
 
     `moving` holds Gaussians at each view's time, `carried` [m] tells which of them nodes carry, `cells` where in these,
-    `origins` [C, M, 3] the nodes' positions, `unseen_s` for how long no image has corrected these, `sigma_px` the
-    flow's own error.
+    `origins` [C, M, 3] the nodes' positions, `unseen_s` for how long no image has corrected these.
     """
     said = NormalEquations(len(cells))
     stride = max(len(carried) // MOST_OBSERVATIONS, 1)
@@ -77,7 +77,7 @@ def solve_twists(
     arms = means - origins.double().numpy().take(carriers, 1)
     for index, one in enumerate(observed):
         carried_here = Carried(means[index], arms[index], opacities, within)
-        said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * sigma_px**2))
+        said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * FLOW_SIGMA_PX**2))
     normal = said.summed(cells.nodes, origins.shape[1])
     step = max(unseen_s, 1e-3) ** 2 / 2
     motion = np.array([ACCELERATION * step + LEAST_OFF] * 3 + [TURN_ACCELERATION * step + LEAST_TURNED] * 3)

@@ -13,6 +13,8 @@ from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64
 
+SAMPLES = 24
+"""Depths tried along the ray of a block."""
 BLOCK = 2
 """Side in pixels of the block that one newborn stands for, where there is room for as many."""
 COLOUR_SIGMA = 0.12
@@ -61,10 +63,8 @@ class Depths:
     """[n] nothing before the background is left standing."""
 
 
-def agreed(
-    observed: Sequence[Observed], rendering: Rendering, index: int, pixels: Pixels, rays: Float64, samples: int
-) -> Depths:
-    """Where blocks of view `index` lie along their `rays` [n, 3]: of `samples` depths those with the best support.
+def agreed(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: Pixels, rays: Float64) -> Depths:
+    """Where blocks of view `index` lie along their `rays` [n, 3]: of `SAMPLES` depths those with the best support.
 
     What the other views say of a block counts for the blocks around that look like it too, at the same share of the
     background's depth: of one pixel an even surface tells little, and what each chose for itself fell apart. Where none
@@ -73,7 +73,7 @@ def agreed(
     """
     one = observed[index]
     far = one.background.depth[pixels.rows, pixels.columns]
-    levels = far[:, None] * np.linspace(NEAREST, FARTHEST, samples)
+    levels = far[:, None] * np.linspace(NEAREST, FARTHEST, SAMPLES)
     votes = _votes(observed, index, pixels, rays, levels)
     weights = affinity(
         np.square(pixels.rows[:, None] - pixels.rows) + np.square(pixels.columns[:, None] - pixels.columns),

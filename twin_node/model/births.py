@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin_node.model.birth_depths import BLOCK, Depths, Pixels, agreed
 from twin_node.model.observation import Observed, largest_channel
-from twin_node.model.parameters import BirthParameters
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64
@@ -66,31 +66,30 @@ def block_side(pixels: int, room: int) -> int:
 def find_births_reference(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
-    threshold: float,
-    parameters: BirthParameters,
+    most: int,
     side: int = BLOCK,
 ) -> Births:
-    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
+    """Births, `most` of them, for pixels whose largest channel differs by `MOVING_THRESHOLD` from `renderings`.
 
     One stands for a block of `BLOCK` pixels squared, or of `side` where all of that is wrong and looks alike. In NumPy:
     the reference of `compiled_births.find_births`.
     """
-    quota = parameters.per_set // max(len(observed), 1)
+    quota = most // max(len(observed), 1)
     parts = []
     for index, one in enumerate(observed):
-        pixels = _unexplained(one, renderings[index], threshold, quota, side)
-        parts.append(_lift(observed, renderings[index], index, pixels, parameters.ray_samples, threshold))
+        pixels = _unexplained(one, renderings[index], quota, side)
+        parts.append(_lift(observed, renderings[index], index, pixels))
     return joined(parts)
 
 
-def _unexplained(one: Observed, rendering: Rendering, threshold: float, quota: int, side: int) -> Pixels:
+def _unexplained(one: Observed, rendering: Rendering, quota: int, side: int) -> Pixels:
     image = one.rgb
-    counts = one.active & (one.surprise > 0.5 * threshold) & (~one.stale | (one.background.alpha < SOLID))
+    counts = one.active & (one.surprise > 0.5 * MOVING_THRESHOLD) & (~one.stale | (one.background.alpha < SOLID))
     at = np.nonzero(counts)
     error = np.zeros_like(one.surprise)
     error[at] = largest_channel(image[at], rendering.rgb.detach().cpu().numpy()[at])
     errors, colours = _block_means(error, BLOCK), _block_means(image, BLOCK)
-    wrong = errors > threshold
+    wrong = errors > MOVING_THRESHOLD
     times = side // BLOCK
     large = _united(wrong, colours, times) if times > 1 else np.zeros_like(wrong[:0, :0])
     of_large = np.zeros_like(wrong)
@@ -124,9 +123,7 @@ def _block_means(image: Float32, side: int) -> Float32:
     return cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
-def _lift(
-    observed: Sequence[Observed], rendering: Rendering, index: int, pixels: Pixels, samples: int, threshold: float
-) -> Births:
+def _lift(observed: Sequence[Observed], rendering: Rendering, index: int, pixels: Pixels) -> Births:
     one = observed[index]
     camera = one.view.camera
     rows, columns = pixels.rows, pixels.columns
@@ -135,25 +132,25 @@ def _lift(
     if one.view.depth is not None:
         lying = _measured(one, rows, columns, far)
     else:
-        lying = agreed(observed, rendering, index, pixels, rays, samples)
+        lying = agreed(observed, rendering, index, pixels, rays)
     depth, on_background = lying.depths, lying.on_background
     means = camera.T_base_cam[:3, 3] + rays * depth[:, None]
     radii = SPREAD * pixels.sides * depth / camera.K[0, 0]
     lasting = on_background & (one.background.alpha[rows, columns] < SOLID)
-    kept = ~(on_background & ~lasting & _contradicted(observed, index, means, threshold))
+    kept = ~(on_background & ~lasting & _contradicted(observed, index, means))
     return Births(
         means[kept], radii[kept], pixels.rgb[kept], on_background[kept], lasting[kept], np.full(int(kept.sum()), index)
     )
 
 
-def _contradicted(observed: Sequence[Observed], index: int, means: Float64, threshold: float) -> Bool:
+def _contradicted(observed: Sequence[Observed], index: int, means: Float64) -> Bool:
     """[n] points on the background at which another view shows the background unchanged."""
     out = np.zeros(len(means), bool)
     for other_index, other in enumerate(observed):
         if other_index != index:
             seen = look(other.view.camera, means)
             visible = seen.inside & ~other.background.occluded(seen) & other.usable[seen.rows, seen.columns]
-            out |= visible & (other.surprise[seen.rows, seen.columns] < 0.5 * threshold)
+            out |= visible & (other.surprise[seen.rows, seen.columns] < 0.5 * MOVING_THRESHOLD)
     return out
 
 

@@ -15,7 +15,7 @@ from twin_node.model.births import SOLID, SPREAD, Births, find_births_reference,
 from twin_node.model.kernel_requests import BirthRequest, BirthRules, BirthView
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
-from twin_node.model.parameters import BirthParameters
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rendering import Rendering
 from twin_node.native_library import addresses_of, array_of, thread_count
 
@@ -23,22 +23,22 @@ from twin_node.native_library import addresses_of, array_of, thread_count
 def find_births(
     observed: Sequence[Observed],
     renderings: Sequence[Rendering],
-    threshold: float,
-    parameters: BirthParameters,
+    most: int,
     side: int = BLOCK,
 ) -> Births:
-    """Births for the pixels whose largest channel differs by more than `threshold` from `renderings`.
+    """Births, `most` of them, for pixels whose largest channel differs by `MOVING_THRESHOLD` from `renderings`.
 
     One stands for a block of `BLOCK` pixels squared, or of `side` where all of that is wrong and looks alike.
     """
     library = kernels()
     if library is None:
-        return find_births_reference(observed, renderings, threshold, parameters, side)
-    quota = parameters.per_set // max(len(observed), 1)
+        return find_births_reference(observed, renderings, most, side)
+    quota = most // max(len(observed), 1)
     rules = BirthRules(
-        *(threshold, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH, birth_depths.HUGE, birth_depths.REFUTED),
+        *(MOVING_THRESHOLD, SOLID, birth_depths.COLOUR_SIGMA, births.SAME_DEPTH),
+        *(birth_depths.HUGE, birth_depths.REFUTED),
         *(birth_depths.LOCALITY, birth_depths.NEIGHBOUR_PX, birth_depths.FEWEST, birth_depths.DISSENT),
-        *(OCCLUSION, SPREAD, births.ALIKE, quota, parameters.ray_samples, side),
+        *(OCCLUSION, SPREAD, births.ALIKE, quota, birth_depths.SAMPLES, side),
     )
     calls = [_Call(one, rendering, quota) for one, rendering in zip(observed, renderings, strict=True)]
     views = array_of(BirthView, [call.view for call in calls])

@@ -20,6 +20,7 @@ from twin_node.model.deaths import (
 from twin_node.model.kernel_requests import DeathRules, DeathView, RefutedRequest, StaticRequest
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rendering import Rendering
 from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool
@@ -39,11 +40,11 @@ def refuted_moving(observed: Sequence[Observed], shapes: Sequence[Shapes], carri
     means, refuted = np.stack([shape.means for shape in shapes]), np.empty(len(carried), bool)
     held = (means, np.ascontiguousarray(shapes[0].radii), carried, refuted)
     counts = (len(carried), len(observed), thread_count())
-    library.run(RefutedRequest(*counts, ctypes.pointer(_rules(0.0)), views.array, *addresses_of(*held)))
+    library.run(RefutedRequest(*counts, ctypes.pointer(_RULES), views.array, *addresses_of(*held)))
     return refuted
 
 
-def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float) -> StaticEvidence:
+def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering]) -> StaticEvidence:
     """Which STATIC Gaussians have left their place, and which are part of something that moves.
 
     `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. What lies
@@ -51,17 +52,16 @@ def judge_static(observed: Sequence[Observed], renderings: Sequence[Rendering], 
     """
     library = kernels()
     if library is None:
-        return judge_static_reference(observed, renderings, threshold)
+        return judge_static_reference(observed, renderings)
     views, count = _Views(observed, renderings), len(observed[0].background.static.rows)
     evidence = StaticEvidence(np.empty(count, bool), np.empty(count, bool))
     counts = (count, len(observed), thread_count())
     pointers = addresses_of(evidence.left, evidence.moving)
-    library.run(StaticRequest(*counts, ctypes.pointer(_rules(threshold)), views.array, *pointers))
+    library.run(StaticRequest(*counts, ctypes.pointer(_RULES), views.array, *pointers))
     return evidence
 
 
-def _rules(threshold: float) -> DeathRules:
-    return DeathRules(OCCLUSION, SEEN_THROUGH, REACH, threshold)
+_RULES = DeathRules(OCCLUSION, SEEN_THROUGH, REACH, MOVING_THRESHOLD)
 
 
 class _Views:

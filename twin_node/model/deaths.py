@@ -11,6 +11,7 @@ from torch import Tensor
 
 from twin_node.model.backgrounds import OCCLUSION, on_surface, pixels_reached
 from twin_node.model.observation import Observed
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rays import Seen, look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64
@@ -55,7 +56,7 @@ def refuted_moving_reference(observed: Sequence[Observed], shapes: Sequence[Shap
     return refuted
 
 
-def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold: float) -> Bool:
+def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes]) -> Bool:
     """[n] which Gaussians lie where a view measures depth of what its background does not explain.
 
     Those that some view sees through do not. `shapes` holds them for each view. Of their place nothing is guessed
@@ -66,7 +67,7 @@ def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes], threshold
         if one.nearest is not None:
             seen = look(one.view.camera, shape.means)
             apart = np.abs(one.nearest[seen.rows, seen.columns] - seen.depth)
-            needed |= seen.inside & seen.within(one.surprise > threshold) & (apart < SEEN_THROUGH * seen.depth)
+            needed |= seen.inside & seen.within(one.surprise > MOVING_THRESHOLD) & (apart < SEEN_THROUGH * seen.depth)
             refuted |= _seen_through(one, seen)
     return needed & ~refuted
 
@@ -81,9 +82,7 @@ class StaticEvidence:
     """[n] every view that should show them shows something that moves there, and two views or more do."""
 
 
-def judge_static_reference(
-    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float
-) -> StaticEvidence:
+def judge_static_reference(observed: Sequence[Observed], renderings: Sequence[Rendering]) -> StaticEvidence:
     """Which STATIC Gaussians have left their place, and which are part of something that moves.
 
     `renderings` is what the whole model looks like: what stands behind something moving is covered, not gone. What lies
@@ -98,7 +97,7 @@ def judge_static_reference(
         front = rendering.depth.cpu().numpy()[seen.rows, seen.columns]
         covered = one.active[seen.rows, seen.columns] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
         visible = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[seen.rows, seen.columns]
-        changed = one.surprise[seen.rows, seen.columns] > threshold
+        changed = one.surprise[seen.rows, seen.columns] > MOVING_THRESHOLD
         if one.nearest is not None:
             visible &= one.nearest[seen.rows, seen.columns] > (1 - SEEN_THROUGH) * seen.depth
             changed = np.zeros(count, bool)

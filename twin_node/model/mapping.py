@@ -32,6 +32,8 @@ from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 from twin_node.side_thread import SideThread
 from twin_node.splat.library import stay_alone
 
+LACKING = 0.1
+"""Difference (0 to 1) between background and image at rest that is too much after steps: what counts as change."""
 IN_FRONT = 0.995
 """Share of the depth of what stands there already at which a newborn lies, so that it is what shows."""
 UNLIKE = 0.15
@@ -115,7 +117,7 @@ class Mapper:
         if 0 in size:
             return
         lacking: Float32 = cv2.resize(rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-        blocks = np.flatnonzero(lacking > self._parameters.lacking)
+        blocks = np.flatnonzero(lacking > LACKING)
         if not len(blocks):
             return
         room = self._most_static - self._gaussians.count(Tier.STATIC) - self._gaussians.count(Tier.ROBOT)

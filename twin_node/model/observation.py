@@ -12,6 +12,7 @@ import numpy as np
 from twin_node.model.backgrounds import Background, grow
 from twin_node.model.kernel_requests import ObservedView, ObserveRequest, ObserveRules
 from twin_node.model.kernels import kernels
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
@@ -80,8 +81,6 @@ class Compared:
 class Comparing:
     """What counts as a difference."""
 
-    threshold: float
-    """0 to 1."""
     elapsed_s: float
     """Since the set before, s."""
     stale_s: float
@@ -93,8 +92,7 @@ class Comparing:
 class Observer:
     """Puts a set's images, masks and backgrounds side by side; remembers for how long the background has been wrong."""
 
-    def __init__(self, threshold: float, stale_s: float) -> None:
-        self._threshold = threshold
+    def __init__(self, stale_s: float) -> None:
         self._stale_s = stale_s
         self._before: dict[str, Compared] = {}
         self._is_first = True
@@ -108,7 +106,7 @@ class Observer:
         dt_s: float,
     ) -> list[Observed]:
         """What is known about each view of `frames`, `dt_s` after the set before."""
-        rules = Comparing(self._threshold, dt_s, self._stale_s, self._is_first)
+        rules = Comparing(dt_s, self._stale_s, self._is_first)
         self._is_first = False
         views = [self._pixels(*given) for given in zip(frames.views, moving, robots, backgrounds, strict=True)]
         found = compare(views, rules)
@@ -149,7 +147,9 @@ def compare(views: Sequence[Pixels], rules: Comparing) -> list[Compared]:
     library = kernels()
     if library is None:
         return [compare_reference(one, rules) for one in views]
-    given = ctypes.pointer(ObserveRules(rules.threshold, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first))
+    given = ctypes.pointer(
+        ObserveRules(MOVING_THRESHOLD, MISFIT_GROWTH, rules.elapsed_s, rules.stale_s, rules.is_first)
+    )
     calls = [_Call(one) for one in views]
     asked = array_of(ObservedView, [call.view for call in calls])
     library.run(ObserveRequest(len(calls), thread_count(), given, asked))
@@ -186,7 +186,7 @@ def compare_reference(one: Pixels, rules: Comparing) -> Compared:
         known, before_s = one.before.misfit, one.before.wrong_s
     misfit = np.minimum(known, difference + np.float32(MISFIT_GROWTH))
     surprise: Float32 = np.maximum(difference - misfit, np.float32(0)) * one.usable
-    wrong = surprise > rules.threshold
+    wrong = surprise > MOVING_THRESHOLD
     wrong_s = np.where(wrong & ~one.near_moving, before_s + np.float32(rules.elapsed_s), np.float32(0))
     active = (one.near_moving | wrong) & one.usable
     return Compared(rgb, surprise, misfit, wrong_s, wrong_s > rules.stale_s, active)

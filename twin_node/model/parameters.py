@@ -61,11 +61,6 @@ class TrackParameters:
     """False: nodes stay RIGID, whatever the evidence; the deformation field is never used."""
     velocity_damping: float = 1.0
     """Share of a node's velocity that the prediction of the next set keeps."""
-    flow_sigma_px: float = 0.5
-    """1 sigma of the optical flow on textured pixels: what the node's own sigma is derived from."""
-    residual: float = 25 / 255
-    """Largest difference of a colour channel (0 to 1) that counts as explained; the threshold of the selection rule in
-    DecoGS and of the figures for moving pixels."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""
@@ -78,8 +73,6 @@ class TrackParameters:
             latency_ms=NOT_NEGATIVE,
             learning_rate=POSITIVE,
             velocity_damping=SHARE,
-            flow_sigma_px=POSITIVE,
-            residual=Range(0, 1, above=True),
         )
 
 
@@ -93,12 +86,6 @@ class BirthParameters:
     """Share of the capacity that Gaussians which are not STATIC may take: one per six pixels where an eighth moves.
     More than twice as many are worth 0.1 to 0.3 dB of what moves in a recorded cell, 0.9 where a quarter of all pixels
     moves, and cost a tenth of the sets."""
-    ray_samples: int = 24
-    """Depths tried along the ray of a pixel that nothing explains."""
-    kin_m: float = 0.06
-    """A Gaussian joins the node of the nearest one of its colour, if that is nearer than this; else a node is born."""
-    node_radius_m: float = 0.12
-    """Radius within which Gaussians of one colour found a node together."""
     node_members: int = 8
     """Gaussians that a new node needs."""
     transient_s: float = 0.5
@@ -106,9 +93,6 @@ class BirthParameters:
     measured and that is not so, it has six lives."""
     stale_s: float = 0.15
     """The background is learnt anew where it has been wrong for this long and nothing moves."""
-    carve_sets: int = 2
-    """Looks in a row in which a camera sees through a Gaussian before it dies: every 0.4 s at what moves, every 0.06 s
-    at what stands."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""
@@ -118,13 +102,9 @@ class BirthParameters:
             "model: birth.",
             per_set=_COUNT,
             moving_share=SHARE,
-            ray_samples=Range(1, 4096),
-            kin_m=POSITIVE,
-            node_radius_m=POSITIVE,
             node_members=Range(1),
             transient_s=NOT_NEGATIVE,
             stale_s=NOT_NEGATIVE,
-            carve_sets=Range(1),
         )
 
 
@@ -134,17 +114,12 @@ class MapParameters:
 
     steps: int = 2
     """Steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
-    threshold: float = 0.02
-    """Difference (0 to 1) between background and image at rest that is worth a step: five grey levels, above the noise
-    of 8-bit video. Beyond what steps have left over before, where there have been some."""
     tries: int = 30
     """Looks at a pixel, one per camera in turn, after which what steps have left over is taken for all that can be."""
     calm_s: float = 0.15
     """For how long a pixel must have been free and still before what it shows is learnt."""
     patience_s: float = 0.5
     """For how long a pixel must have been at rest before what steps have not made good is given new Gaussians."""
-    lacking: float = 0.1
-    """Difference (0 to 1) that is then too much: what counts as change."""
     most_born: int = 40
     """Gaussians born per set at most."""
 
@@ -155,11 +130,9 @@ class MapParameters:
             ModelError,
             "model: map.",
             steps=_COUNT,
-            threshold=SHARE,
             tries=_COUNT,
             calm_s=NOT_NEGATIVE,
             patience_s=NOT_NEGATIVE,
-            lacking=SHARE,
             most_born=_COUNT,
         )
 

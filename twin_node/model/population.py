@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from twin_node.model.adoption import Members, adopt, adopt_points, store
+from twin_node.model.adoption import Adopt, Members, adopt, adopt_points, adopt_started, store
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import block_side
 from twin_node.model.chosen import rows_where
@@ -33,6 +33,8 @@ from twin_node.scene import Tier
 STANDING_JUDGED_S, MOVING_JUDGED_S = 0.06, 0.4
 """Time between two looks for what stands and has left, and for what moves and is seen through, s. Masks err for a few
 sets at a time: what is taken away for that is missed until others are born and fitted."""
+CARVE_LOOKS = 2
+"""Looks in a row in which a camera sees through a Gaussian before it dies."""
 TURNOVER = 0.05
 """Share of the Gaussians that move that newborns may replace per set where no room is left: they are guesses, and what
 they replace was fitted."""
@@ -87,7 +89,7 @@ class Population:
         if self._burying.is_due(self._nodes.stamp):
             self._judge_moving(observed)
         g = self._gaussians
-        self._house(rows_where(g.alive & g.homeless))
+        self._house(rows_where(g.alive & g.homeless), adopt_points)
 
     def prune(self, observed: Sequence[Observed], around: Splats) -> None:
         """What moves and has shown in no camera for long goes; `around` may stand before it."""
@@ -103,14 +105,13 @@ class Population:
         """Gaussians and nodes for what `renderings` leave unexplained."""
         room = self._room()
         wanted = min(self._parameters.birth.per_set, max(room.left, int(TURNOVER * room.most), len(observed)))
-        rules = replace(self._parameters.birth, per_set=wanted)
         side = block_side(sum(one.usable.size for one in observed), room.most)
-        births = find_births(observed, renderings, self._parameters.track.residual, rules, side)
+        births = find_births(observed, renderings, wanted, side)
         if not len(births):
             return Born(0, ())
-        roused = self._resting.rouse(births, self._parameters.birth.kin_m)
+        roused = self._resting.rouse(births)
         self._make_room(len(births))
-        adopted = adopt(births, self._members(), self._nodes, self._parameters.birth)
+        adopted = adopt(births, self._members(), self._nodes, self._parameters.birth.node_members)
         if births.lasting.any():
             self._backgrounds.mark()
         stored = store(births, adopted, self._placer.poses(observed), self._nodes, self._gaussians)
@@ -121,18 +122,18 @@ class Population:
 
         These at once: who waits must catch up with more.
         """
-        g, evidence = self._gaussians, judge_static(observed, renderings, self._parameters.track.residual)
+        g, evidence = self._gaussians, judge_static(observed, renderings)
         standing = rows_where(self._backgrounds.stand(g, self._backgrounds.rows))
         rows = self._backgrounds.rows.index_select(0, standing)
         clashes = clashing(observed, evidence.left, g.values[:, RGB].index_select(0, self._backgrounds.rows))
         told = (torch.from_numpy(of).to(rows.device) for of in (evidence.left, evidence.moving, clashes))
         left, moving, clash = (of.index_select(0, standing) for of in told)
-        gone = g.doubt(rows, left, self._parameters.birth.carve_sets) | clash
+        gone = g.doubt(rows, left, CARVE_LOOKS) | clash
         resting = g.rested.index_select(0, rows) >= 0  # the masks keep what has moved; it wakes when it looks otherwise
         boarding = moving & ~left & ~resting
         if bool((gone | boarding).any()):
             g.retire(rows[gone])
-            self._house(rows[boarding], started=True)
+            self._house(rows[boarding], adopt_started)
             self._backgrounds.mark()
 
     def _judge_moving(self, observed: Sequence[Observed]) -> None:
@@ -145,30 +146,27 @@ class Population:
         carriers = g.nodes.index_select(0, rows).cpu().numpy()
         gone = refuted_moving(observed, shapes, carriers >= 0)
         gone |= self._backgrounds.beneath(shapes[0].means.astype(np.float64), radii)
-        refuted = g.doubt(rows, torch.from_numpy(gone), self._parameters.birth.carve_sets)
+        refuted = g.doubt(rows, torch.from_numpy(gone), CARVE_LOOKS)
         age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double() * 1e-9
         life_s = self._parameters.birth.transient_s
         aged = (g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)) & (age_s > life_s)
         ends = refuted | aged
         if bool(aged.any()):  # who is needed stays, though its rim may reach over what was learnt
-            needed = torch.from_numpy(are_needed(observed, shapes, self._parameters.track.residual)).to(rows.device)
+            needed = torch.from_numpy(are_needed(observed, shapes)).to(rows.device)
             ends &= ~(aged & needed & (age_s <= NEEDED_LIVES * life_s))
         g.retire(rows.index_select(0, rows_where(ends)))
         staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
         self._nodes.retire(torch.from_numpy(learned[members[learned] == 0]))
 
-    def _house(self, rows: Tensor, started: bool = False) -> None:
-        """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded.
-
-        `started`: they have stood until now.
-        """
+    def _house(self, rows: Tensor, adopt: Adopt) -> None:
+        """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
         if not len(rows):
             return
         g = self._gaussians
         own = g.values.index_select(0, rows).cpu().numpy()
         points, rgb = own[:, MEAN].astype(np.float64), own[:, RGB]
-        adopted = adopt_points(points, rgb, self._members(), self._nodes, self._parameters.birth, started)
+        adopted = adopt(points, rgb, self._members(), self._nodes, self._parameters.birth.node_members)
         housed = (adopted.nodes >= 0).nonzero()[0]
         if not len(housed):
             return

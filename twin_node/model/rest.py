@@ -10,12 +10,14 @@ from twin_node.model.backgrounds import grow
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.parameters import MapParameters
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.scene import Float32
 
 UPTAKE = 0.3
 """Share of each image that enters what a pixel shows at rest: noise is averaged over about six images."""
-STIRRED = 25 / 255
-"""Change from what a pixel shows at rest that is no noise: it starts anew (the threshold for moving pixels)."""
+WRONG_BY = 0.02
+"""Difference (0 to 1) between background and image at rest that is worth a step: five grey levels, above the noise of
+8-bit video. Beyond what steps have left over before, where there have been some."""
 MOST_FILLS = 2
 """Times that one place is given new Gaussians before it changes again: what they do not mend, more will not."""
 
@@ -52,7 +54,7 @@ class Rest:
         """Takes in an image."""
         change = largest_channel(one.rgb, self.rgb)
         self.hidden = ~one.usable | one.near_moving
-        calm = ~self.hidden & (change < STIRRED)
+        calm = ~self.hidden & (change < MOVING_THRESHOLD)
         since_s = np.float32((one.view.stamp - self._stamp) * 1e-9)
         self._stamp = one.view.stamp
         self._calm_s = np.where(calm, self._calm_s + since_s, np.float32(0))
@@ -73,10 +75,10 @@ class Rest:
         What is left after so many looks, in a pixel and around it, is what it takes from then on to be wrong again, and
         half a threshold more: neighbours that share a Gaussian would take turns without end.
         """
-        wrong = self.counted & (missed > self._settled + parameters.threshold)
+        wrong = self.counted & (missed > self._settled + WRONG_BY)
         self._tries += wrong
         spent = grow(self._tries > parameters.tries, AROUND_PX)
-        self._settled[spent] = np.maximum(self._settled, missed + np.float32(0.5 * parameters.threshold))[spent]
+        self._settled[spent] = np.maximum(self._settled, missed + np.float32(0.5 * WRONG_BY))[spent]
         self._tries[spent] = 0
         self.wrong = grow(wrong & ~spent, 1)
 

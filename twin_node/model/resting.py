@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from twin_node.model.adoption import looks_of, nearest
+from twin_node.model.adoption import KIN_M, looks_of, nearest
 from twin_node.model.backgrounds import OCCLUSION, Backgrounds
 from twin_node.model.births import Births
 from twin_node.model.chosen import rows_where
@@ -17,6 +17,7 @@ from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, L
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool
 
@@ -58,20 +59,15 @@ class Resting:
             self._backgrounds.renew()
         return [Decision(Kind.SETTLED, nodes.stamp, node, node, resting[ids[node]]) for node in ended]
 
-    def wake(
-        self, observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float
-    ) -> Sequence[Decision]:
-        """Gives what rested and looks otherwise a node again.
-
-        `renderings` tell what stands covered; `threshold` (0 to 1) is the difference that counts.
-        """
+    def wake(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> Sequence[Decision]:
+        """Gives what rested and looks otherwise a node again; `renderings` tell what stands covered."""
         g, rows = self._gaussians, self._backgrounds.rows
         groups = torch.where(g.alive.index_select(0, rows), g.rested.index_select(0, rows), -1).cpu().numpy()
         at_rest = np.flatnonzero(groups >= 0)
         if not len(at_rest):
             return []
         groups = groups[at_rest]
-        seen, changed = _stirred(observed, renderings, threshold, at_rest)
+        seen, changed = _stirred(observed, renderings, at_rest)
         grounds = {}
         for group in np.unique(groups).tolist():
             own = groups == group
@@ -80,8 +76,8 @@ class Resting:
                 grounds[group] = ChangedView(visible, stirred)
         return self._wake(grounds)
 
-    def rouse(self, births: Births, kin_m: float) -> Sequence[Decision]:
-        """Gives what rested a node again where something of its kind is born within `kin_m` of it.
+    def rouse(self, births: Births) -> Sequence[Decision]:
+        """Gives what rested a node again where something of its kind is born within `KIN_M` of it.
 
         What creeps looks otherwise at its edges alone. Were these left to newborns, they would hide it, come to rest
         themselves, and go on until a heap of Gaussians stood there that nobody sees and nobody wakes.
@@ -91,7 +87,7 @@ class Resting:
         if not len(rows) or not off.any():
             return []
         means, rgb = g.means[rows].cpu().double().numpy(), g.values[rows, RGB].cpu().numpy()
-        closest = nearest(looks_of(births.means[off], births.rgb[off], kin_m), looks_of(means, rgb, kin_m))
+        closest = nearest(looks_of(births.means[off], births.rgb[off], KIN_M), looks_of(means, rgb, KIN_M))
         groups, counts = np.unique(g.rested[rows].cpu().numpy()[closest[closest >= 0]], return_counts=True)
         enough = counts >= LEAST_STIRRED
         counted = zip(groups[enough].tolist(), counts[enough].tolist(), strict=True)
@@ -118,7 +114,7 @@ class Resting:
 
 
 def _stirred(
-    observed: Sequence[Observed], renderings: Sequence[Rendering], threshold: float, chosen: NDArray[np.int64]
+    observed: Sequence[Observed], renderings: Sequence[Rendering], chosen: NDArray[np.int64]
 ) -> tuple[Bool, Bool]:
     """Per row of the background that is `chosen` [n]: whether some view shows it, and whether one something else."""
     visible, changed = np.zeros(len(chosen), bool), np.zeros(len(chosen), bool)
@@ -130,5 +126,5 @@ def _stirred(
         shown = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at]
         visible |= shown
         missed = largest_channel(one.rgb[at], rendering.rgb.cpu().numpy()[at]) - one.misfit[at]
-        changed |= shown & (missed > threshold)
+        changed |= shown & (missed > MOVING_THRESHOLD)
     return visible, changed

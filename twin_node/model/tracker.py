@@ -93,7 +93,7 @@ class Tracker:
         self._motion = motion
         self._nodes = motion.nodes
         self._backgrounds = backgrounds
-        self._observer = Observer(parameters.track.residual, parameters.birth.stale_s)
+        self._observer = Observer(parameters.birth.stale_s)
         self._links: RobotLinks | None = None
         self._upkeep = Upkeep(parameters, gaussians, backgrounds)
         self._bodies = Bodies(gaussians, motion.nodes)
@@ -141,7 +141,7 @@ class Tracker:
         aligned = self._align(observed, dt_s)
         self._decisions += self._aligner.take_decisions()
         on_stage("align")
-        self._decisions += self._resting.wake(observed, aligned.renderings, self._parameters.track.residual)
+        self._decisions += self._resting.wake(observed, aligned.renderings)
         self._population.judge(observed, aligned.renderings)
         around = self._around(observed, aligned)
         self._aligner.catch_up(observed, around, dt_s, self._haste)
