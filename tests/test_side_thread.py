@@ -1,4 +1,4 @@
-"""Errands are done once, by whoever comes first."""
+"""Tasks are done once, by whoever comes first."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ def two_threads() -> Iterator[None]:
 
 def test_a_side_thread_does_it_once_it_has_entered() -> None:
     work, entered = Work(), Work()
-    errand = SideThread(entered).begin(work)
+    task = SideThread(entered).begin(work)
     assert work.begun.wait(60)
-    assert [errand.result(), errand.result()] == [7, 7]
+    assert [task.result(), task.result()] == [7, 7]
     assert work.done_by == entered.done_by != [threading.get_ident()]
-    assert errand.is_done
+    assert task.is_done
 
 
 def test_who_asks_does_it_where_the_side_thread_has_not_begun() -> None:
     side_thread, gate, work = SideThread(), threading.Event(), Work()
-    busy, errand = side_thread.begin(gate.wait), side_thread.begin(work)
-    assert not errand.is_done
-    assert [errand.result(), errand.result()] == [7, 7]
+    busy, task = side_thread.begin(gate.wait), side_thread.begin(work)
+    assert not task.is_done
+    assert [task.result(), task.result()] == [7, 7]
     assert work.done_by == [threading.get_ident()]
     gate.set()
     assert busy.result()
@@ -55,36 +55,36 @@ def test_who_asks_does_it_where_the_side_thread_has_not_begun() -> None:
 def test_who_asks_does_it_where_there_is_one_thread() -> None:
     work = Work()
     with kernel_threads(1):
-        errand = SideThread().begin(work)
+        task = SideThread().begin(work)
         assert not work.done_by
-        assert [errand.result(), errand.result()] == [7, 7]
+        assert [task.result(), task.result()] == [7, 7]
     assert work.done_by == [threading.get_ident()]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_what_the_work_raises_is_raised_where_it_is_asked_for(threads: int) -> None:
     with kernel_threads(threads):
-        errand = SideThread().begin(lambda: np.zeros(1)[[2]])
+        task = SideThread().begin(lambda: np.zeros(1)[[2]])
         for _ in range(2):
             with pytest.raises(IndexError):
-                errand.result()
+                task.result()
 
 
 def test_a_thread_that_keeps_others_waiting_is_left_alone_for_longer_each_time() -> None:
     side_thread = SideThread(patience_s=0.0)
     for alone in (8, 24):
         late = Work()
-        errand = side_thread.begin(late)
+        task = side_thread.begin(late)
         assert late.begun.wait(60)
-        errand.result()
+        task.result()
         works = [Work() for _ in range(alone + 1)]
-        errands = [side_thread.begin(work) for work in works]
+        tasks = [side_thread.begin(work) for work in works]
         assert works[-1].begun.wait(60), "is not asked again"
         assert not any(work.done_by for work in works[:-1])
-        assert [errand.result() for errand in errands[:-1]] == [7] * alone
+        assert [task.result() for task in tasks[:-1]] == [7] * alone
 
 
 def test_a_copy_in_another_process_has_what_came_of_it_and_a_thread_of_its_own() -> None:
-    errand, side_thread = pickle.loads(pickle.dumps((SideThread().begin(Work()), SideThread(patience_s=1e-3))))
-    assert errand.result() == 7
+    task, side_thread = pickle.loads(pickle.dumps((SideThread().begin(Work()), SideThread(patience_s=1e-3))))
+    assert task.result() == 7
     assert side_thread.begin(Work()).result() == 7

@@ -15,10 +15,10 @@ from twin_node.native_library import thread_count
 Result = TypeVar("Result")
 
 _MOST_ALONE = 512
-"""Most errands in a row that are done without a thread that came late."""
+"""Most tasks in a row that are done without a thread that came late."""
 
 
-class Errand(Generic[Result]):
+class Task(Generic[Result]):
     """Work whose result is asked for later: a side thread does it if it has begun by then, else whoever asks."""
 
     def __init__(
@@ -50,34 +50,34 @@ class Errand(Generic[Result]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: what it comes to, for what it is made of may be changed once it is done."""
-        return Errand, (partial(_itself, self.result()),)
+        return Task, (partial(_itself, self.result()),)
 
 
 class SideThread:
-    """A thread beside the one that asks, for its errands. In a forked child, who asks does them."""
+    """A thread beside the one that asks, for its tasks. In a forked child, who asks does them."""
 
     def __init__(self, enter: Callable[[], None] | None = None, patience_s: float = math.inf) -> None:
-        """The thread calls `enter` first. Who waits for it for longer than `patience_s` does the next errands without:
+        """The thread calls `enter` first. Who waits for it for longer than `patience_s` does the next tasks without:
         it was not scheduled. The more so each time that happens."""
         self._enter, self._patience_s = enter, patience_s
         self._threads = ThreadPoolExecutor(1, "side", initializer=enter)
         self._doubt, self._alone = 0, 0
 
-    def begin(self, work: Callable[[], Result]) -> Errand[Result]:
+    def begin(self, work: Callable[[], Result]) -> Task[Result]:
         """Hands `work` over, which must touch nothing that anybody changes before its result is asked for.
 
         Where there is one thread at all (see `thread_count`), it is done then.
         """
         if thread_count() == 1 or self._is_dismissed():
-            return Errand(work)
-        return Errand(work, self._threads.submit(work), self._judge)
+            return Task(work)
+        return Task(work, self._threads.submit(work), self._judge)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: another thread."""
         return SideThread, (self._enter, self._patience_s)
 
     def _is_dismissed(self) -> bool:
-        """Whether the next errand is one of those that are done without."""
+        """Whether the next task is one of those that are done without."""
         if self._alone == 0:
             return False
         self._alone -= 1

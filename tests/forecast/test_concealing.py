@@ -24,7 +24,7 @@ def test_compiled_concealed_space_is_the_plain_one(seed: int, knows_arm: bool) -
     one, other = (find(carved, knows_arm, *masks[4:]) for find in (concealed, concealed_reference))
     for name in ("hiding", "unseen"):
         assert np.array_equal(getattr(one, name).words, getattr(other, name).words), name
-    assert np.array_equal(masks[5].words, before)  # an errand may still be reading it
+    assert np.array_equal(masks[5].words, before)  # a task may still be reading it
 
 
 def test_rims_that_were_unseen_stay_so_and_the_arms_shadow_is_no_hiding_place() -> None:

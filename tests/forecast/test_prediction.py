@@ -18,8 +18,8 @@ def shaken(measured: Measured | None) -> Predictor:
     for sample in range(75):
         step = np.array([[rng.normal(0, 0.05) * (sample < 60), 0, 0]])
         places = places + step
-        succession = tracks.follow(sample / 30, places, 30 * step)
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
+        association = tracks.follow(sample / 30, places, 30 * step)
+        predictor.advance(tracks.history, association, float(HORIZONS[-1]), measured)
     return predictor
 
 
@@ -28,8 +28,8 @@ def followed(samples: int) -> Predictor:
     tracks, predictor = Tracks(), Predictor()
     places = np.array([[0.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
     for sample in range(samples):
-        succession = tracks.follow(sample / 30, places, np.zeros((2, 3)))
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+        association = tracks.follow(sample / 30, places, np.zeros((2, 3)))
+        predictor.advance(tracks.history, association, float(HORIZONS[-1]))
     return predictor
 
 
@@ -61,9 +61,9 @@ def test_nothing_is_forecast_below_the_floor() -> None:
     down = np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -3.0]])
     for sample in range(12):
         places = np.array([[0.0, 0.0, 1.3], [0.5, 0.0, 1.1]]) + down * sample / 30
-        succession = tracks.follow(sample / 30, places, down)
+        association = tracks.follow(sample / 30, places, down)
         for predictor in (bounded, free):
-            predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+            predictor.advance(tracks.history, association, float(HORIZONS[-1]))
     heights = [tracks.positions[-1][:, 2] + one.predict(HORIZONS).displacements[..., 2] for one in (bounded, free)]
     assert places[1, 2] < 0.1 < places[0, 2]
     assert np.all(heights[0] >= [0.1 - 1e-9, places[1, 2] - 1e-9])
@@ -76,8 +76,8 @@ def test_weights_follow_what_is_told_of_nodes_and_of_experts() -> None:
     tracks, predictor = Tracks(), Predictor()
     places = np.array([[0.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
     for sample in range(3):
-        succession = tracks.follow(sample / 30, places, np.zeros((2, 3)))
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
+        association = tracks.follow(sample / 30, places, np.zeros((2, 3)))
+        predictor.advance(tracks.history, association, float(HORIZONS[-1]), measured)
     first = predictor.weights
     predictor.vouch(np.array([True, False]))
     vouched = predictor.weights
@@ -93,8 +93,8 @@ def test_horizons_that_become_shorter_do_not_spoil_what_was_learnt() -> None:
     tracks, predictor = Tracks(), Predictor()
     for sample in range(60):
         places = np.array([[0.2 * np.sin(sample / 5), 0.0, 0.5]])
-        succession = tracks.follow(sample / 30, places, np.array([[1.2 * np.cos(sample / 5), 0.0, 0.0]]))
-        predictor.advance(tracks.history, succession, 0.8 if sample < 30 else 0.26)
+        association = tracks.follow(sample / 30, places, np.array([[1.2 * np.cos(sample / 5), 0.0, 0.0]]))
+        predictor.advance(tracks.history, association, 0.8 if sample < 30 else 0.26)
         prediction = predictor.predict(HORIZONS)
         assert np.isfinite(prediction.displacements).all()
         assert 0 < prediction.radii[-1, 0] < np.inf
@@ -107,8 +107,8 @@ def test_what_turns_back_has_begun_something_new_though_it_was_foreseen() -> Non
     for sample in range(turn + 4):
         ahead = sample <= turn
         places = np.array([[2.0 / 30 * min(sample, 2 * turn - sample), 0.0, 0.5], [0.0, 1.0, 0.5]])
-        succession = tracks.follow(sample / 30, places, np.array([[2.0 if ahead else -2.0, 0, 0], [0, 0, 0]]))
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]))
+        association = tracks.follow(sample / 30, places, np.array([[2.0 if ahead else -2.0, 0, 0], [0, 0, 0]]))
+        predictor.advance(tracks.history, association, float(HORIZONS[-1]))
     predictor.vouch(np.ones(2, np.bool_))
     assert predictor.predict(HORIZONS).turning.tolist() == [True, False]
     assert predictor.unstartled_since(turn / 30 - 0.05).tolist() == [False, True]

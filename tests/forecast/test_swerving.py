@@ -59,8 +59,8 @@ def braked(samples: int, turns: bool = True, begins: int = 0, measured: Measured
         if 0 < sample == begins:
             place = place + 5.0
         place = place + 5.0 * (0 < begins < sample)
-        succession = tracks.follow(time, place, velocity)
-        predictor.advance(tracks.history, succession, float(HORIZONS[-1]), measured)
+        association = tracks.follow(time, place, velocity)
+        predictor.advance(tracks.history, association, float(HORIZONS[-1]), measured)
     return predictor.predict(HORIZONS, factor=0.2)
 
 

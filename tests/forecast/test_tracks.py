@@ -19,8 +19,8 @@ def test_known_nodes_keep_their_paths_when_rows_change() -> None:
     tracks = Tracks()
     tracks.extend(0.0, place(0), np.array([-1, -1]))
     tracks.extend(PERIOD, place(1)[::-1], np.array([1, 0]))
-    succession = tracks.extend(2 * PERIOD, place(2)[:1], np.array([1]))
-    assert succession.paths.tolist() == [1]
+    association = tracks.extend(2 * PERIOD, place(2)[:1], np.array([1]))
+    assert association.paths.tolist() == [1]
     assert np.allclose(tracks.positions[:, 0], [place(s)[0] for s in range(3)])
 
 
@@ -29,8 +29,8 @@ def test_a_leap_begins_a_new_path() -> None:
     for sample in range(5):
         tracks.extend(sample * PERIOD, place(sample), np.array([-1, -1]) if sample == 0 else np.arange(2))
     leapt = place(5) + np.array([[1.0, 0, 0], [0, 0, 0]])
-    succession = tracks.extend(5 * PERIOD, leapt, np.arange(2))
-    assert succession.paths.tolist() == [-1, 1]
+    association = tracks.extend(5 * PERIOD, leapt, np.arange(2))
+    assert association.paths.tolist() == [-1, 1]
     assert np.all(tracks.positions[:, 0] == leapt[0])
     assert np.all(tracks.velocities[0] == 0)
     assert tracks.born.tolist() == [5 * PERIOD, 0.0]
@@ -39,8 +39,8 @@ def test_a_leap_begins_a_new_path() -> None:
 def test_parts_continue_the_path_of_what_was_where_they_came_from() -> None:
     tracks = Tracks()
     for sample in range(4):
-        succession = tracks.follow(sample * PERIOD, place(sample)[::-1], VELOCITY[::-1])
-    assert succession.paths.tolist() == [0, 1]
+        association = tracks.follow(sample * PERIOD, place(sample)[::-1], VELOCITY[::-1])
+    assert association.paths.tolist() == [0, 1]
     assert np.allclose(np.diff(tracks.positions, axis=0)[:, 0], VELOCITY[1] * PERIOD)
     assert np.all(tracks.born == 0)
 
@@ -49,9 +49,9 @@ def test_a_part_far_from_all_paths_is_new_and_takes_over_a_record_from_its_kin()
     tracks = Tracks()
     tracks.follow(0.0, place(0), VELOCITY)
     centers = np.array([[0.2, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    succession = tracks.follow(PERIOD, centers, np.zeros((2, 3)))
-    assert succession.paths.tolist() == [-1, -1]
-    assert succession.records.tolist() == [0, -1]
+    association = tracks.follow(PERIOD, centers, np.zeros((2, 3)))
+    assert association.paths.tolist() == [-1, -1]
+    assert association.records.tolist() == [0, -1]
     assert np.all(tracks.born == PERIOD)
 
 
@@ -68,6 +68,6 @@ def test_nothing_to_follow_is_followed() -> None:
     nothing = np.zeros((0, 3))
     tracks.follow(0.0, nothing, nothing)
     tracks.follow(PERIOD, place(1), VELOCITY)
-    succession = tracks.follow(2 * PERIOD, nothing, nothing)
-    assert len(succession.paths) == 0
+    association = tracks.follow(2 * PERIOD, nothing, nothing)
+    assert len(association.paths) == 0
     assert tracks.positions.shape == (3, 0, 3)

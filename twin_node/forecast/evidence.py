@@ -30,7 +30,7 @@ from twin_node.forecast.things import Whole
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Float64, Grid, OccupancyLayer, TwinState, UInt32, read_only
-from twin_node.side_thread import Errand, SideThread
+from twin_node.side_thread import SideThread, Task
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class Evidence:
     """[M] m, heights that the middles of the parts do not get below, for what stands there; -inf where nothing does."""
     static: OccupancyLayer
     """What stands."""
-    near: Errand[Closest]
+    near: Task[Closest]
     """Which parts are nearest to each, found out meanwhile: only their forecast asks for it."""
-    unseen: Errand[Unseen]
+    unseen: Task[Unseen]
     """Found out meanwhile, for no forecast depends on it."""
     resting: NDArray[np.int64]
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
@@ -103,7 +103,7 @@ class Observer:
         self._static = StaticSpace(self.grid, static)
         self._hiding = HidingPlaces(self.grid)
         self._side_thread = SideThread(patience_s=_PATIENCE_S)
-        self._errand: Errand[Unseen] | None = None
+        self._task: Task[Unseen] | None = None
         self._resting = Resting(self.grid)
         self._standing: _Standing | None = None
         self._unseen = Bits.none(self.grid.dims)
@@ -152,9 +152,9 @@ class Observer:
             self._standing = _Standing.of(self._static.update(state, self._carver), self.margin)
         return self._carver.carve(state, self._speed(), self._static.opaque)
 
-    def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Errand[Unseen]:
+    def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Task[Unseen]:
         """What there may be in the inner grid's `unknown` space; states are followed one after the other."""
-        before, self._errand = self._errand, None  # one that failed says so once
+        before, self._task = self._task, None  # one that failed says so once
         if before is not None:
             before.result()
         unseen = self._unseen
@@ -166,8 +166,8 @@ class Observer:
                 Hidden(self.margin.cropped(hidden.reachable), self.margin.cropped(hidden.maybe_full)),
             )
 
-        self._errand = self._side_thread.begin(look)
-        return self._errand
+        self._task = self._side_thread.begin(look)
+        return self._task
 
     def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
         """Whether some camera frees each of the voxels `indices` [n] of the outer grid, by the last state."""
@@ -213,6 +213,6 @@ class Observer:
 NEAR = 0.12
 """Distance within which a part is taken for the one that was there before, m (one and a half parts)."""
 _PATIENCE_S = 1e-3
-"""Errands take less than this from who asks for them where their thread is scheduled, s."""
+"""Tasks take less than this from who asks for them where their thread is scheduled, s."""
 _FAST_SHARE = 0.95
 """Of the parts; single ones may be told wrong."""

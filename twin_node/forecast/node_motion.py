@@ -58,8 +58,8 @@ class NodeMotion:
         rows = np.where(before[:, None] < 0, -1, count * before[:, None] + np.arange(count)).reshape(-1)
         turned = np.einsum("mij,kj->mki", rotation_from_quat(nodes.quats), CORNERS)
         corners = (nodes.positions[:, None] + turned).reshape(-1, 3)
-        succession = self._tracks.extend(stamp * 1e-9, corners, rows)
-        self._predictor.advance(self._tracks.history, succession, horizon_s)
+        association = self._tracks.extend(stamp * 1e-9, corners, rows)
+        self._predictor.advance(self._tracks.history, association, horizon_s)
         self._ids = ids
 
     def ahead(self, horizon_s: float) -> Moves:

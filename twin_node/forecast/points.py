@@ -40,10 +40,10 @@ class PointForecaster:
     def update(self, time: float, positions: Float64) -> PointForecast:
         """Forecasts from where the points are at `time` (s, rising): positions [J, 3] in metres, NaN where not seen."""
         seen = np.flatnonzero(np.isfinite(positions).all(axis=1))
-        succession = self._tracks.extend(time, positions[seen], self._rows[seen])
+        association = self._tracks.extend(time, positions[seen], self._rows[seen])
         self._rows = np.full(self._count, -1, np.int64)
         self._rows[seen] = np.arange(len(seen))
-        self._predictor.advance(self._tracks.history, succession, float(self.horizons_s[-1]))
+        self._predictor.advance(self._tracks.history, association, float(self.horizons_s[-1]))
         prediction = self._predictor.predict(self.horizons_s)
         displacements = np.full((len(self.horizons_s), self._count, 3), np.nan)
         displacements[:, seen] = prediction.displacements

@@ -18,11 +18,11 @@ from twin_node.forecast.reckoning import Due, Issued, Ledger, Manner, reckon
 from twin_node.forecast.records import USUAL_ERROR, Records, Rows
 from twin_node.forecast.swerving import Swerves, swerves_of
 from twin_node.scene import Bool, Float64
-from twin_node.side_thread import Errand
+from twin_node.side_thread import Task
 
 
 @dataclass(frozen=True)
-class Succession:
+class Association:
     """Which nodes of the sample before go on in the nodes of now; -1 for none."""
 
     paths: Rows
@@ -124,11 +124,11 @@ class Predictor:
     def advance(
         self,
         history: History,
-        succession: Succession,
+        association: Association,
         horizon_s: float,
         measured: Measured | None = None,
         factor: float = 1.0,
-        near: Errand[Closest] | None = None,
+        near: Task[Closest] | None = None,
     ) -> None:
         """Takes in where nodes are now, the last sample of `history`, and forecasts them for `horizon_s` from now.
 
@@ -138,10 +138,10 @@ class Predictor:
         """
         self._horizon_s, self._measured, self._factor = horizon_s, measured, factor
         self._history = history
-        self._records = self._records.inherited(succession.records, history.times[-1])
+        self._records = self._records.inherited(association.records, history.times[-1])
         before = np.append(self._path_began, history.times[-1])
-        self._path_began = before[np.where(succession.paths < 0, len(before) - 1, succession.paths)]
-        self._inherit(succession.paths)
+        self._path_began = before[np.where(association.paths < 0, len(before) - 1, association.paths)]
+        self._inherit(association.paths)
         self._judge()
         self._issue(None if near is None else near.result())
 

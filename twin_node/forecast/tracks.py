@@ -6,7 +6,7 @@ import numpy as np
 
 from twin_node.forecast.experts import History
 from twin_node.forecast.nearest import nearest
-from twin_node.forecast.prediction import Succession
+from twin_node.forecast.prediction import Association
 from twin_node.forecast.records import Rows
 from twin_node.scene import Float64
 
@@ -45,7 +45,7 @@ class Tracks:
         """M."""
         return len(self.velocities)
 
-    def extend(self, time: float, positions: Float64, rows: Rows) -> Succession:
+    def extend(self, time: float, positions: Float64, rows: Rows) -> Association:
         """Continues paths to known nodes at `positions` [M', 3] (m), at `time` (s).
 
         `rows` [M']: the row that each node had at the sample before; -1 for new ones. What leaps begins anew.
@@ -57,9 +57,9 @@ class Tracks:
         moved = np.where(rows[:, None] < 0, 0, positions - last)
         self._go_on(time, rows, positions - moved, positions, shift=False)
         self.velocities = moved / step if step > 0 else np.zeros_like(moved)
-        return Succession(rows, rows)
+        return Association(rows, rows)
 
-    def follow(self, time: float, centers: Float64, velocities: Float64) -> Succession:
+    def follow(self, time: float, centers: Float64, velocities: Float64) -> Association:
         """Continues paths into parts at `centers` [M', 3] (m) that move at `velocities` [M', 3] (m/s), at `time` (s).
 
         A part is a cell of a lattice, not a body: its path is that of the part which was where it came from, moved so
@@ -70,7 +70,7 @@ class Tracks:
         rows, kin = self._nearest(places)
         self._go_on(time, rows, places, centers, shift=True)
         self.velocities = velocities
-        return Succession(rows, kin)
+        return Association(rows, kin)
 
     def _nearest(self, places: Float64) -> tuple[Rows, Rows]:
         """Row [n] of the node nearest to each place, within `REACH` and within `KIN`; -1 where there is none."""

@@ -15,13 +15,13 @@ from twin_node.model.decisions import BendEvidence, Decision, Kind
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate, gain
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.haste import Haste, Part
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.observation import Observed
 from twin_node.model.parameters import TrackParameters
 from twin_node.model.placing import Placer
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats
+from twin_node.model.step_budget import Part, StepBudget
 from twin_node.scene import Tier
 
 CATCH_UPS = 2
@@ -81,12 +81,12 @@ class Aligner:
             self._steer(self._nodes.learned_rows, twists, dt_s)
         return renderings, told_of
 
-    def catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float, haste: Haste) -> None:
+    def catch_up(self, observed: Sequence[Observed], around: Splats, dt_s: float, step_budget: StepBudget) -> None:
         """Nodes that this set has founded or woken are moved to where it shows what they carry.
 
         Their Gaussians stand where these stood when they were last seen to stand. Were they fitted to the images there,
         they would take on the looks of other parts of the thing, and stay behind it. `around` can stand before them;
-        `dt_s`: time since the set before. In haste they are moved once.
+        `dt_s`: time since the set before. Where time is short they are moved once.
         """
         nodes, rows = self._nodes, self._gaussians.moving_rows
         fresh = nodes.learned_rows[nodes.births.index_select(0, nodes.learned_rows) == nodes.stamp]
@@ -95,7 +95,7 @@ class Aligner:
         carried = rows_where(torch.isin(self._gaussians.nodes.index_select(0, rows), fresh.to(rows.device)))
         if not len(carried):
             return
-        times = haste.steps(Part.CATCH_UP)
+        times = step_budget.steps(Part.CATCH_UP)
         for _ in range(times):
             poses = self._placer.poses(observed)
             splats = self._placer.place(rows, observed, poses)
@@ -103,7 +103,7 @@ class Aligner:
             cells = cells_of(self._gaussians, rows.index_select(0, carried), splats.means[0].index_select(0, carried))
             twists = self._twists(observed, renderings, splats, carried.cpu(), cells, poses, UNNOTICED_S)
             self._steer(fresh, twists, dt_s)
-        haste.done(Part.CATCH_UP, times)
+        step_budget.done(Part.CATCH_UP, times)
 
     def _twists(
         self,

@@ -20,7 +20,7 @@ from twin_node.model.points import find_pixels, has_points
 from twin_node.model.rays import Seen, look, pixel_rays
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
-from twin_node.side_thread import Errand, SideThread
+from twin_node.side_thread import SideThread, Task
 from twin_node.splat.library import stay_alone
 
 OCCLUSION = 0.03
@@ -100,7 +100,7 @@ class Backgrounds:
         self._waiting: list[str] = []
         self._wanted: Sequence[Camera] = ()
         self._side_thread = SideThread(stay_alone)
-        self._begun: tuple[str, Errand[_Shown]] | None = None
+        self._begun: tuple[str, Task[_Shown]] | None = None
         """What another thread draws for the next set, and the name of its camera."""
         self.rows = torch.zeros(0, dtype=torch.int64)
         self._ids = torch.zeros(0, dtype=torch.int64)

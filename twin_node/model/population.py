@@ -27,7 +27,7 @@ from twin_node.model.placing import Placer
 from twin_node.model.pruning import MovingPruner
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
-from twin_node.model.rhythm import Rhythm
+from twin_node.model.throttle import Throttle
 from twin_node.scene import Tier
 
 STANDING_JUDGED_S, MOVING_JUDGED_S = 0.06, 0.4
@@ -79,7 +79,7 @@ class Population:
         self._placer = placer
         self._resting = resting
         self._pruner = MovingPruner(gaussians)
-        self._judging, self._burying = Rhythm(STANDING_JUDGED_S), Rhythm(MOVING_JUDGED_S)
+        self._judging, self._burying = Throttle(STANDING_JUDGED_S), Throttle(MOVING_JUDGED_S)
 
     def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """What the images refute goes: what stands often, for what begins to move must board at once; what moves now

@@ -16,9 +16,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.decisions import Decision
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.haste import Haste, Part
 from twin_node.model.held import held_pixels
-from twin_node.model.leisure import Leisure
 from twin_node.model.motion import Motion
 from twin_node.model.observation import Observed, Observer
 from twin_node.model.occluders import occluders
@@ -29,7 +27,9 @@ from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
 from twin_node.model.robot_links import RobotLinks
+from twin_node.model.slack import Slack
 from twin_node.model.stages import OnStage, Proceed, granted, unhurried, unwatched
+from twin_node.model.step_budget import Part, StepBudget
 from twin_node.model.unselected import fit_unselected
 from twin_node.model.upkeep import Seen, Upkeep
 from twin_node.scene import Bool, FrameSet
@@ -85,10 +85,10 @@ class Tracker:
         gaussians: Gaussians,
         motion: Motion,
         backgrounds: Backgrounds,
-        haste: Haste,
+        step_budget: StepBudget,
     ) -> None:
         self._parameters = parameters
-        self._haste = haste
+        self._step_budget = step_budget
         self._gaussians = gaussians
         self._motion = motion
         self._nodes = motion.nodes
@@ -106,7 +106,7 @@ class Tracker:
         self._born = 0
         self._due: _Due | None = None
         """A set that has been tracked and that nothing else has been made of yet."""
-        self._leisure = Leisure()
+        self._slack = Slack()
 
     @property
     def has_arm(self) -> bool:
@@ -130,7 +130,7 @@ class Tracker:
         """Follows `frames`, taken `dt_s` after the set before."""
         self.refine(on_stage=on_stage)
         born, self._born = self._born, 0
-        cameras, waits = [view.camera for view in frames.views], not self._haste.may_be_late
+        cameras, waits = [view.camera for view in frames.views], not self._step_budget.may_be_late
         backgrounds = self._backgrounds.of(self._gaussians, cameras, waits)
         observed = self._observer.observe(frames, moving, robots, backgrounds, dt_s)
         on_stage("observe")
@@ -144,7 +144,7 @@ class Tracker:
         self._decisions += self._resting.wake(observed, aligned.renderings)
         self._population.judge(observed, aligned.renderings)
         around = self._around(observed, aligned)
-        self._aligner.catch_up(observed, around, dt_s, self._haste)
+        self._aligner.catch_up(observed, around, dt_s, self._step_budget)
         on_stage("judge")
         fitted = self._fit(observed, around)
         on_stage("fit")
@@ -165,13 +165,13 @@ class Tracker:
         due, self._due = self._due, None
         if due is None:
             return True
-        self._leisure.begin(proceed)
-        if self._leisure.put_off > 1:
+        self._slack.begin(proceed)
+        if self._slack.put_off > 1:
             return self._do_what_presses(due, least, on_stage)
-        if not self._leisure.put_off:
+        if not self._slack.put_off:
             self._do_all(due, on_stage)
         is_done = self._upkeep.go_on(granted(least, proceed))
-        return is_done and not self._leisure.put_off
+        return is_done and not self._slack.put_off
 
     def _do_all(self, due: _Due, on_stage: OnStage) -> None:
         """All that a set leaves to do but what can wait; once another set has come, as none did lately, no more of it.
@@ -180,15 +180,15 @@ class Tracker:
         """
         self._upkeep.begin(due.seen, self._parameters.map.steps)
         on_stage("begin")
-        if not self._leisure.lasts():
+        if not self._slack.lasts():
             return
         self._regroup(due)
         on_stage("regroup")
-        if not self._leisure.lasts():
+        if not self._slack.lasts():
             return
         self._population.prune(due.seen.observed, due.around)
         self._upkeep.learn(granted(1))
-        if not self._leisure.lasts():
+        if not self._slack.lasts():
             return
         self._bear(due)
         on_stage("bear")
@@ -196,7 +196,7 @@ class Tracker:
     def _do_what_presses(self, due: _Due, least: int, on_stage: OnStage) -> bool:
         """What was put off after the set before: nothing is pruned, and what stands takes a step after one set and is
         drawn anew after the next. Returns whether nothing of that is left."""
-        learns = self._leisure.put_off % 2 == 0
+        learns = self._slack.put_off % 2 == 0
         if learns:
             self._upkeep.begin(due.seen, 1)
             on_stage("begin")
@@ -250,9 +250,9 @@ class Tracker:
             return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
         moving = self._placer.place(g.moving_rows, observed, poses)
         masks = held_pixels(observed, moving)
-        rate, steps = self._pace * track.learning_rate, self._haste.steps(Part.FIT)
+        rate, steps = self._pace * track.learning_rate, self._step_budget.steps(Part.FIT)
         fitted = fit_moving(g, self._motion, observed, poses, masks, around, steps, rate)
-        self._haste.done(Part.FIT, steps)
+        self._step_budget.done(Part.FIT, steps)
         self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
         return fitted
 

@@ -19,7 +19,6 @@ from twin_node.model.field import HexPlane
 from twin_node.model.first_light import FirstLight
 from twin_node.model.fitting import fit_all
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.haste import Haste, Part
 from twin_node.model.motion import Motion
 from twin_node.model.moving_mask import MovingMask
 from twin_node.model.nodes import NEVER, Nodes
@@ -30,6 +29,7 @@ from twin_node.model.rendering import Splats, render
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.model.seeding import Seeds, seed
 from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, unwatched
+from twin_node.model.step_budget import Part, StepBudget
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
 from twin_node.robot import ArmModel, robot_masks
@@ -97,7 +97,7 @@ class WindowModel:
         self._begun: _Begun | None = None
         self._light = FirstLight()
         self._exposures = Exposures()
-        self._haste = Haste({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
+        self._step_budget = StepBudget({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._newest: _Shown | None = None
         """None before the first set has been followed."""
         self._looked_at = 0
@@ -136,7 +136,7 @@ class WindowModel:
     @property
     def hurried(self) -> int:
         """Sets that took fewer steps so as to be out in time."""
-        return self._haste.hurried
+        return self._step_budget.hurried
 
     @property
     def parameters_count(self) -> int:
@@ -200,7 +200,7 @@ class WindowModel:
         at.
         """
         begun = self._required("follow")
-        self._haste.begin(left_s)
+        self._step_budget.begin(left_s)
         warnings: tuple[str, ...] = ()
         with torch_alone():
             if seen.followed is not None:
@@ -210,7 +210,7 @@ class WindowModel:
             state = replace(
                 seen, gaussians=model.gaussians, nodes=model.nodes, warnings=warnings + seen.warnings, followed=None
             )
-            self._haste.end()
+            self._step_budget.end()
             self.on_stage("publish")
         return state
 
@@ -319,7 +319,7 @@ class WindowModel:
         self._nodes.stamp = frames.stamp
         motion = Motion(self._nodes, self._make_field(shell))
         motion.slide(frames.stamp)
-        tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, self._haste)
+        tracker = Tracker(self.parameters, self._gaussians, motion, backgrounds, self._step_budget)
         self._bind_arm(tracker, frames, robots)
         self._nodes.remember()
         past = Past(self._gaussians, self.parameters.nodes, self.parameters.window)

@@ -11,7 +11,7 @@ AT_EASE = 3
 each does all that it has begun: births that are put off cost what moves half a decibel there."""
 
 
-class Leisure:
+class Slack:
     """The time between two sets, set by set."""
 
     def __init__(self) -> None:

@@ -29,7 +29,7 @@ class Part(Enum):
 PARTS = tuple(Part)
 
 
-class Haste:
+class StepBudget:
     """Counts out each set's steps by the time that is left for it and what steps have taken lately."""
 
     def __init__(self, steps: Mapping[Part, int]) -> None:

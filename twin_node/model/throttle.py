@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-class Rhythm:
+class Throttle:
     """Says of one kind of work when it is due again."""
 
     def __init__(self, period_s: float) -> None:

@@ -10,7 +10,7 @@ import pytest
 from model_scenes import rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
-from twin_node.model.haste import IN_A_ROW, SPARED, Haste, Part
+from twin_node.model.step_budget import IN_A_ROW, SPARED, Part, StepBudget
 
 STEP_S, ENDING_S = 0.002, 0.001
 
@@ -26,100 +26,100 @@ class Watch:
         return lambda: due - self.now_s
 
 
-def fitted(haste: Haste, watch: Watch, left_s: float, catches_up: bool = False) -> tuple[int, ...]:
+def fitted(budget: StepBudget, watch: Watch, left_s: float, catches_up: bool = False) -> tuple[int, ...]:
     """The steps that a set is granted which has `left_s` when its first part begins."""
-    haste.begin(watch.counting_from(left_s))
+    budget.begin(watch.counting_from(left_s))
     granted = []
     for part in (Part.CATCH_UP, Part.FIT) if catches_up else (Part.FIT,):
-        steps = haste.steps(part)
+        steps = budget.steps(part)
         watch.now_s += steps * STEP_S
-        haste.done(part, steps)
+        budget.done(part, steps)
         granted.append(steps)
     watch.now_s += ENDING_S
-    haste.end()
+    budget.end()
     return tuple(granted)
 
 
-def practised(ease: int = 8, catch_ups: int = 2) -> tuple[Haste, Watch]:
+def practised(ease: int = 8, catch_ups: int = 2) -> tuple[StepBudget, Watch]:
     """One that has seen sets with time for all of three steps."""
-    haste, watch = Haste({Part.CATCH_UP: catch_ups, Part.FIT: 3}), Watch()
+    budget, watch = StepBudget({Part.CATCH_UP: catch_ups, Part.FIT: 3}), Watch()
     for _ in range(ease):
-        assert fitted(haste, watch, 1.0, catches_up=True) == (catch_ups, 3)
-    return haste, watch
+        assert fitted(budget, watch, 1.0, catches_up=True) == (catch_ups, 3)
+    return budget, watch
 
 
 @pytest.mark.parametrize(("left_s", "expected"), [(0.0075, 3), (0.0055, 2), (0.0035, 1), (0.001, 1), (-0.0025, 1)])
 def test_steps_are_those_that_there_is_time_for(left_s: float, expected: int) -> None:
-    haste, watch = practised()
-    assert fitted(haste, watch, left_s) == (expected,)
-    assert haste.hurried == (expected < 3)
+    budget, watch = practised()
+    assert fitted(budget, watch, left_s) == (expected,)
+    assert budget.hurried == (expected < 3)
 
 
 def test_nothing_is_spared_on_a_set_that_is_past_saving() -> None:
-    haste, watch = practised()
-    assert fitted(haste, watch, -0.0035) == (3,)
-    assert haste.hurried == 0
+    budget, watch = practised()
+    assert fitted(budget, watch, -0.0035) == (3,)
+    assert budget.hurried == 0
 
 
 @pytest.mark.parametrize(("left_s", "expected"), [(0.0115, (2, 3)), (0.0095, (2, 2)), (0.0055, (1, 1))])
 def test_catching_up_leaves_time_for_a_step_of_what_follows(left_s: float, expected: tuple[int, ...]) -> None:
-    haste, watch = practised()
-    assert fitted(haste, watch, left_s, catches_up=True) == expected
-    assert haste.hurried == (expected != (2, 3))
+    budget, watch = practised()
+    assert fitted(budget, watch, left_s, catches_up=True) == expected
+    assert budget.hurried == (expected != (2, 3))
 
 
 def test_where_every_set_is_late_none_is_hurried_for_long() -> None:
-    haste, watch = practised()
-    granted = [fitted(haste, watch, 0.002)[0] for _ in range(50)]
+    budget, watch = practised()
+    granted = [fitted(budget, watch, 0.002)[0] for _ in range(50)]
     assert granted[:IN_A_ROW] == [1] * IN_A_ROW
     assert granted[IN_A_ROW:] == [3] * (50 - IN_A_ROW)
-    assert haste.hurried == IN_A_ROW
+    assert budget.hurried == IN_A_ROW
 
 
 def test_one_in_so_many_may_be_hurried_where_that_brings_it_in_time() -> None:
-    haste, watch = practised()
-    granted = [fitted(haste, watch, 0.0035 if index % 20 == 0 else 1.0)[0] for index in range(400)]
+    budget, watch = practised()
+    granted = [fitted(budget, watch, 0.0035 if index % 20 == 0 else 1.0)[0] for index in range(400)]
     assert granted[::20] == [1] * 20
-    assert haste.hurried == 20
+    assert budget.hurried == 20
 
 
 def test_late_sets_leave_fewer_to_be_hurried() -> None:
     """Past saving for a while, and then in time again: it takes ten such sets for one that may be hurried."""
-    haste, watch = practised()
+    budget, watch = practised()
     for _ in range(IN_A_ROW):
-        assert fitted(haste, watch, -1.0) == (3,)
+        assert fitted(budget, watch, -1.0) == (3,)
     for _ in range(round(1 / SPARED) - 1):
-        assert fitted(haste, watch, 1.0) == (3,)
-    assert fitted(haste, watch, 0.0035) == (3,)
+        assert fitted(budget, watch, 1.0) == (3,)
+    assert fitted(budget, watch, 0.0035) == (3,)
     for _ in range(2 * round(1 / SPARED)):
-        assert fitted(haste, watch, 1.0) == (3,)
-    assert fitted(haste, watch, 0.0035) == (1,)
+        assert fitted(budget, watch, 1.0) == (3,)
+    assert fitted(budget, watch, 0.0035) == (1,)
 
 
 def test_nobody_is_hurried_before_a_step_was_timed() -> None:
-    haste, watch = Haste({Part.CATCH_UP: 2, Part.FIT: 3}), Watch()
-    assert fitted(haste, watch, 0.0001, catches_up=True) == (2, 3)
+    budget, watch = StepBudget({Part.CATCH_UP: 2, Part.FIT: 3}), Watch()
+    assert fitted(budget, watch, 0.0001, catches_up=True) == (2, 3)
 
 
 def test_one_pause_of_the_machine_changes_nothing() -> None:
-    haste, watch = practised()
-    haste.begin(watch.counting_from(1.0))
-    steps = haste.steps(Part.FIT)
+    budget, watch = practised()
+    budget.begin(watch.counting_from(1.0))
+    steps = budget.steps(Part.FIT)
     watch.now_s += 0.5
-    haste.done(Part.FIT, steps)
-    haste.end()
-    assert fitted(haste, watch, 0.0075) == (3,)
+    budget.done(Part.FIT, steps)
+    budget.end()
+    assert fitted(budget, watch, 0.0075) == (3,)
 
 
 def test_no_time_is_read_where_nobody_waits() -> None:
-    haste = Haste({Part.CATCH_UP: 2, Part.FIT: 3})
+    budget = StepBudget({Part.CATCH_UP: 2, Part.FIT: 3})
     for _ in range(20):
-        haste.begin(lambda: math.inf)
-        assert not haste.may_be_late
-        assert (haste.steps(Part.CATCH_UP), haste.steps(Part.FIT)) == (2, 3)
-        haste.done(Part.FIT, 3)
-        haste.end()
-    assert haste.hurried == 0
+        budget.begin(lambda: math.inf)
+        assert not budget.may_be_late
+        assert (budget.steps(Part.CATCH_UP), budget.steps(Part.FIT)) == (2, 3)
+        budget.done(Part.FIT, 3)
+        budget.end()
+    assert budget.hurried == 0
 
 
 def test_a_model_that_is_late_goes_on_following() -> None:
