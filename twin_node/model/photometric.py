@@ -63,26 +63,23 @@ def goal_of(
     [H, W, 3] are theirs, 0 to 1, if at hand. All of a view are of its own size.
     """
     sizes = [(view.camera.height, view.camera.width) for view in views]
-    height, width = size = (max(rows for rows, _ in sizes), max(columns for _, columns in sizes))
+    size = (max(rows for rows, _ in sizes), max(columns for _, columns in sizes))
+    cameras = [view.camera for view in views]
     if any(own != size for own in sizes):
+        cameras = [replace(camera, height=size[0], width=size[1]) for camera in cameras]
         masks = _whole(masks, sizes)  # what is added is not drawn
-    counted = [_counted(view, mask) for view, mask in zip(views, masks, strict=True)]
-    depths = [np.zeros(own, np.float32) if v.depth is None else v.depth for v, own in zip(views, sizes, strict=True)]
-    targets = Targets(
-        torch.from_numpy(_together([_colours(view) for view in views] if images is None else images, size)).to(device),
-        None if all(one is None for one in counted) else torch.from_numpy(_weights(counted, sizes, size)).to(device),
-        None if all(view.depth is None for view in views) else torch.from_numpy(_together(depths, size)).to(device),
+    drawn = None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size)
+    behind = None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops]
+    colours = [_colours(view) for view in views] if images is None else images
+    return Goal(
+        shots_of(cameras, drawn, behind, device),
+        Targets(
+            torch.from_numpy(_together(colours, size)).to(device),
+            _weights([_counted(*of) for of in zip(views, masks, strict=True)], sizes, size, device),
+            _depths(views, size, device),
+        ),
+        sizes,
     )
-    shots = shots_of(
-        [
-            view.camera if own == size else replace(view.camera, height=height, width=width)
-            for view, own in zip(views, sizes, strict=True)
-        ],
-        None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size),
-        None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops],
-        device,
-    )
-    return Goal(shots, targets, sizes)
 
 
 def _counted(view: View, mask: Bool | None) -> Bool | None:
@@ -101,13 +98,25 @@ def _colours(view: View) -> Float32:
     return np.divide(view.rgb, np.float32(255), dtype=np.float32)
 
 
-def _weights(counted: Sequence[Bool | None], sizes: Sequence[tuple[int, int]], size: tuple[int, int]) -> Float32:
-    """[C, *size] ones where pixels count, scaled so that each view's add up to the same."""
+def _weights(
+    counted: Sequence[Bool | None], sizes: Sequence[tuple[int, int]], size: tuple[int, int], device: torch.device
+) -> Tensor | None:
+    """[C, *size] ones where pixels count, scaled so that each view's add up to the same; None where all count."""
+    if all(mask is None for mask in counted):
+        return None
     weights = np.zeros((len(counted), *size), np.float32)
     for mask, (height, width), out in zip(_whole(counted, sizes), sizes, weights, strict=True):
         share = np.float32(max(int(np.count_nonzero(mask)), 1) / out.size)
         np.multiply(mask, 1 / share, out=out[:height, :width])
-    return weights
+    return torch.from_numpy(weights).to(device)
+
+
+def _depths(views: Sequence[View], size: tuple[int, int], device: torch.device) -> Tensor | None:
+    """[C, *size] m, 0 where unknown; None where no view measures it."""
+    if all(view.depth is None for view in views):
+        return None
+    depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in views]
+    return torch.from_numpy(_together(depths, size)).to(device)
 
 
 def _together(images: Sequence[NDArray[Any]], size: tuple[int, int]) -> NDArray[Any]:

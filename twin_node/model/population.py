@@ -159,14 +159,14 @@ class Population:
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
         self._nodes.retire(torch.from_numpy(learned[members[learned] == 0]))
 
-    def _house(self, rows: Tensor, adopt: Adopt) -> None:
+    def _house(self, rows: Tensor, carriers_of: Adopt) -> None:
         """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""
         if not len(rows):
             return
         g = self._gaussians
         own = g.values.index_select(0, rows).cpu().numpy()
         points, rgb = own[:, MEAN].astype(np.float64), own[:, RGB]
-        adopted = adopt(points, rgb, self._members(), self._nodes, self._parameters.birth.node_members)
+        adopted = carriers_of(points, rgb, self._members(), self._nodes, self._parameters.birth.node_members)
         housed = (adopted.nodes >= 0).nonzero()[0]
         if not len(housed):
             return

@@ -220,12 +220,7 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     for name in (*asked, *remaps):
         if name not in held:
             raise GraphError(f"{log.path}: has no topic {name}; it holds {', '.join(sorted(held))}")
-    unfit: dict[str, str] = {}
-    for name, topic in held.items():
-        if not is_topic_name(remaps.get(name, name)):
-            unfit[name] = "which is no name of a topic on the graph"
-        elif topic.msgtype not in log.types_of(topic.name):
-            unfit[name] = f"whose type {topic.msgtype or '(none)'} is defined nowhere"
+    unfit = _unfit(log, held, remaps)
     for name in asked:
         if name in unfit:
             raise GraphError(
@@ -234,14 +229,24 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     for topic in twice:
         if not asked or absolute(topic.name) in asked:
             say(f"not played: {topic.name}, for {held[absolute(topic.name)].name} is played under that name")
-    for name in sorted(unfit) if not asked else ():
-        say(f"not played: {name}, {unfit[name]}")
-    for line in log.left_out if not asked else ():
-        say(f"not played: {line}")
+    if not asked:
+        for line in (*(f"{name}, {unfit[name]}" for name in sorted(unfit)), *log.left_out):
+            say(f"not played: {line}")
     free = held.keys() - unfit.keys() - ({CLOCK} if parameters.clock else set())
     names = {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
     _check_types(log, names)
     return names
+
+
+def _unfit(log: LogReader, held: Mapping[str, Topic], remaps: Mapping[str, str]) -> dict[str, str]:
+    """Topics that cannot be told to others, and why."""
+    found: dict[str, str] = {}
+    for name, topic in held.items():
+        if not is_topic_name(remaps.get(name, name)):
+            found[name] = "which is no name of a topic on the graph"
+        elif topic.msgtype not in log.types_of(topic.name):
+            found[name] = f"whose type {topic.msgtype or '(none)'} is defined nowhere"
+    return found
 
 
 def _check_types(log: LogReader, names: Mapping[str, str]) -> None:
