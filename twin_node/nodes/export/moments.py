@@ -94,7 +94,7 @@ class LogSource:
         for stamp in stamps:
             said = self._playback.at(stamp)
             q = None if arm is None else _angles(said, arm)
-            cloud = said.cloud if with_clouds else None
+            cloud = said.cloud_now if with_clouds else None
             yield Moment(stamp, (stamp - stamps[0]) / 1e9, in_force(said.obstacles, stamp), q, cloud)
 
 
