@@ -7,7 +7,8 @@ import pytest
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.cli import main
-from twin_node.messages import convert
+from twin_node.messages import convert, message_type
+from twin_node.messages.convert.camera import optical_frame
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, GraphError, find_cameras
@@ -54,17 +55,27 @@ def test_a_colour_image_is_not_taken_from_a_transport_that_can_encode_none() -> 
     assert (camera.image, camera.depth) == (f"{COLOUR}/image_raw", None)
 
 
-def foreign_log(path: Path, depth_fx: float) -> Path:
-    """One set of a camera whose colour has an fx of 64 pixels of 64; its depth comes with a calibration too."""
+def foreign_log(path: Path, depth_fx: float, apart_m: float | None = None) -> Path:
+    """One set of a camera whose colour has an fx of 64 pixels of 64; its depth comes with a calibration too.
+
+    `apart_m`: how far the depth's frame is from the colour's; None: both are one.
+    """
+    depth_frame = optical_frame("camera_camera" if apart_m is None else "depth")
     with LogWriter(path) as log:
+        if apart_m is not None:
+            T = np.eye(4)
+            T[0, 3] = apart_m
+            transform = convert.transform_stamped(optical_frame("camera_camera"), depth_frame, T, 5)
+            log.write("/tf_static", message_type("tf2_msgs/msg/TFMessage")(transforms=[transform]), 5)
         for folder, fx in ((COLOUR, 64.0), (DEPTH, depth_fx)):
             K = np.array([[fx, 0, 31.5], [0, fx, 23.5], [0, 0, 1]])
             log.write(
                 f"{folder}/camera_info", convert.camera_info(RigCamera("camera_camera", 64, 48, K, np.eye(4)), 5), 5
             )
         log.write(f"{COLOUR}/image_raw", convert.raw_image("camera_camera", 5, np.zeros((48, 64, 3), np.uint8)), 5)
-        depth = np.ones((48, 64), np.float32)
-        log.write(f"{DEPTH}/image_rect_raw", convert.depth_image("camera_camera", 5, depth), 5)
+        depth = convert.depth_image("camera_camera", 5, np.ones((48, 64), np.float32))
+        depth.header.frame_id = depth_frame
+        log.write(f"{DEPTH}/image_rect_raw", depth, 5)
     return path
 
 
@@ -93,6 +104,15 @@ def test_depth_of_another_lens_is_refused_unless_it_is_left_out(
 @pytest.mark.parametrize("fx", [64.5, 0.0])
 def test_depth_of_the_same_lens_and_of_one_that_is_not_calibrated_is_taken(tmp_path: Path, fx: float) -> None:
     with LogSession(foreign_log(tmp_path / "log.mcap", fx), rig_of(tmp_path / "rig.yaml")) as session:
+        assert session.cameras[0].depth == f"{DEPTH}/image_rect_raw"
+
+
+def test_depth_of_a_lens_beside_the_colours_is_refused_where_transforms_tell(tmp_path: Path) -> None:
+    """A D455's two lenses have nearly the same focal length, 59 mm from each other; a D405's are one."""
+    rig = rig_of(tmp_path / "rig.yaml")
+    with pytest.raises(GraphError, match=r"depth_optical_frame is 59 mm from camera_camera_optical_frame"):
+        LogSession(foreign_log(tmp_path / "d455.mcap", 64.5, 0.059), rig)
+    with LogSession(foreign_log(tmp_path / "d405.mcap", 64.5, 0.0), rig) as session:
         assert session.cameras[0].depth == f"{DEPTH}/image_rect_raw"
 
 

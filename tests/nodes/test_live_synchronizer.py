@@ -238,7 +238,15 @@ def test_cameras_whose_images_are_too_far_apart_for_a_set_are_named() -> None:
         assert "in no set: 30 images came when the other cameras' were too far away" in message
 
 
-def test_depth_that_comes_with_other_stamps_is_named() -> None:
+@pytest.mark.parametrize(
+    ("late", "frame", "said"),
+    [
+        (16 * MS, "front_optical_frame", "no depth: it came with 0 of 30 images"),
+        (0, "front_depth_optical_frame", "depth of another lens: it is of 'front_depth_optical_frame', the image of"),
+        (0, "/front_optical_frame", "in step with the others"),
+    ],
+)
+def test_depth_that_comes_with_other_stamps_or_of_another_frame_is_named(late: int, frame: str, said: str) -> None:
     K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
     topics = topics_of("front", RigParameters(image="image_raw", depth="depth/image_rect"))
     bus, clock = LocalBus(), Clock()
@@ -249,9 +257,10 @@ def test_depth_that_comes_with_other_stamps_is_named() -> None:
         stamp = START + i * PERIOD
         clock.stamp = stamp + 5 * MS
         bus.publish(topics.image, convert.raw_image("front", stamp, np.full((12, 16, 3), 90, np.uint8)))
-        depth = convert.depth_image("front", stamp + 16 * MS, np.ones((12, 16), np.float32))
+        depth = convert.depth_image("front", stamp + late, np.ones((12, 16), np.float32))
+        depth.header.frame_id = frame
         bus.publish(topics.depth or "", depth)
-    assert "no depth: it came with 0 of 30 images" in node.diagnoses()[0].message
+    assert said in node.diagnoses()[0].message
 
 
 def test_duplicates_are_counted_and_named(cell: Cell) -> None:

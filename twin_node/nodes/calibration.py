@@ -23,6 +23,8 @@ from twin_node.scene import Float64, Rig
 
 ANOTHER_LENS = 0.05
 """Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
+ANOTHER_PLACE_M = 0.005
+"""So far apart are no two frames of one lens, m; lenses of one device are 15 mm and more."""
 
 
 def rig_for(
@@ -78,33 +80,68 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
     return rig
 
 
-def check_depth(log: LogReader, cameras: Sequence[CameraTopics]) -> None:
+def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str = TF_STATIC) -> None:
     """Depth is taken for that of the colour image's pixels: raises `GraphError` where its own calibration says no.
 
-    A CameraInfo without a calibration says nothing.
+    So may the log's transforms: two lenses of one device may have the same focal length, side by side. A CameraInfo
+    without a calibration says nothing, nor do frames that no transforms join. `tf_static`: as the log calls it.
     """
-    measured = {camera: camera.depth_info for camera in cameras if camera.depth_info is not None}
-    wanted = {topic for camera, depth_info in measured.items() for topic in (camera.info, depth_info)}
-    infos = _first_messages(log, wanted) if wanted else {}
-    for camera, depth_info in measured.items():
-        if camera.info not in infos or depth_info not in infos:
-            continue
-        colour = _pinhole(infos[camera.info], camera.is_rectified)
-        depth = _pinhole(infos[depth_info], is_rectified(camera.depth or ""))
-        if colour[0] > 0 and depth[0] > 0 and np.abs(colour - depth).max() > ANOTHER_LENS:
+    measured = [camera for camera in cameras if camera.depth is not None]
+    told = ((camera.info, camera.image, camera.depth, camera.depth_info) for camera in measured)
+    first = _first_messages(log, {topic for topics in told for topic in topics if topic and topic in log.spoken})
+    frames = {camera: (_frame(first.get(camera.image)), _frame(first.get(camera.depth))) for camera in measured}
+    are_apart = any(colour != depth for colour, depth in frames.values())
+    tree = _static_transforms(log, tf_static) if are_apart else TransformTree()
+    for camera, (of_colour, of_depth) in frames.items():
+        why = _other_pinhole(camera, first.get(camera.info), first.get(camera.depth_info))
+        if why is None and of_colour != of_depth:
+            why = _other_place(of_colour, of_depth, tree)
+        if why is not None:
             raise GraphError(
                 f"{log.path}: camera '{camera.name}': expected depth aligned with its colour image, found that of "
-                f"another lens on {camera.depth} (fx of {depth[0]:.2f} widths for {colour[0]:.2f}); record aligned "
-                "depth (realsense2_camera: align_depth.enable:=true), or replay without it: --remap "
-                f"{camera.depth}:=/unaligned{camera.depth}"
+                f"another lens on {camera.depth} ({why}); record aligned depth (realsense2_camera: "
+                f"align_depth.enable:=true), or replay without it: --remap {camera.depth}:=/unaligned{camera.depth}"
             )
 
 
-def _first_messages(log: LogReader, topics: Collection[str]) -> dict[str, Any]:
+def _other_pinhole(camera: CameraTopics, colour_info: Any, depth_info: Any) -> str | None:
+    """What of two CameraInfo says that they are of different lenses."""
+    if colour_info is None or depth_info is None:
+        return None
+    colour = _pinhole(colour_info, camera.is_rectified)
+    depth = _pinhole(depth_info, is_rectified(camera.depth or ""))
+    if min(colour[0], depth[0]) <= 0 or np.abs(colour - depth).max() <= ANOTHER_LENS:
+        return None
+    return f"fx of {depth[0]:.2f} widths for {colour[0]:.2f}"
+
+
+def _other_place(of_colour: str, of_depth: str, tree: TransformTree) -> str | None:
+    """What the transforms say of the frames of colour and depth if they are those of different lenses."""
+    try:
+        apart_m = float(np.linalg.norm(tree.lookup(of_depth, of_colour)[:3, 3]))
+    except MessageError:
+        return None
+    return f"{of_depth} is {1e3 * apart_m:.0f} mm from {of_colour}" if apart_m > ANOTHER_PLACE_M else None
+
+
+def _frame(message: Any) -> str:
+    """Of a message with a header; nothing of one that damage keeps from being read."""
+    return "" if message is None else str(message.header.frame_id).lstrip("/")
+
+
+def _static_transforms(log: LogReader, tf_static: str) -> TransformTree:
+    tree = TransformTree()
+    for message in log.messages([tf_static]):
+        tree.add(content_of(message, log))
+    return tree
+
+
+def _first_messages(log: LogReader, topics: Collection[str]) -> dict[str | None, Any]:
     """The first message of each of the topics that has any."""
-    found: dict[str, Any] = {}
-    for message in log.messages(list(topics)):
-        found.setdefault(message.topic, content_of(message, log))
+    found: dict[str | None, Any] = {}
+    for message in log.messages(list(topics)) if topics else ():
+        if message.topic not in found:
+            found[message.topic] = content_of(message, log)
         if len(found) == len(topics):
             break
     return found

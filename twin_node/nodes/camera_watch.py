@@ -39,6 +39,8 @@ class _Seen:
     lags: list[int] = field(default_factory=list)
     depths: int = 0
     """Images with depth."""
+    depth_frames: set[tuple[str, str]] = field(default_factory=set)
+    """Frames of depth and of its colour image, where they differ."""
     unusable: list[str] = field(default_factory=list)
     """What was wrong with each image that could not be used."""
 
@@ -64,6 +66,11 @@ class CameraWatch:
     def add_depth(self, camera: str) -> None:
         """Takes note that a camera measures depth, whether or not its images can be paired with those of colour."""
         self._measuring.add(camera)
+
+    def add_depth_frame(self, camera: str, of_depth: str, of_colour: str) -> None:
+        """Takes note of the frames that a depth image and its colour image are said to be of."""
+        if of_depth.lstrip("/") != of_colour.lstrip("/"):
+            self._seen[camera].depth_frames.add((of_depth, of_colour))
 
     def add_unmeasured(self, camera: str) -> None:
         """Takes note that depth which has come tells nothing: no pixel of it was measured."""
@@ -120,6 +127,12 @@ class CameraWatch:
             faults.append(
                 f"no depth: it came with {depths} of {count} images; look at the depth camera, and whether its images "
                 "have the stamps of the colour images and come at most 60 ms after them"
+            )
+        for of_depth, of_colour in sorted(self._seen[totals.name].depth_frames):
+            faults.append(
+                f"depth of another lens: it is of {of_depth!r}, the image of {of_colour!r}; let the driver align it "
+                "with the colour image (realsense2_camera: align_depth.enable:=true), or name their frames alike if it "
+                "does"
             )
         if unusable := self._seen[totals.name].unusable:
             faults.append(f"unusable: {len(unusable)} images, the last: {unusable[-1]}")

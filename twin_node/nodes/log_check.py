@@ -186,7 +186,7 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         return [str(error)]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
     try:
-        check_depth(log, cameras)
+        check_depth(log, cameras, names.original(TF_STATIC))
     except GraphError as error:
         faults = [str(error)]
     else:

@@ -43,7 +43,7 @@ class LogSession:
                 self.cameras: tuple[CameraTopics, ...] = find_cameras(names.spoken, str(path))
                 in_log = tuple(names.original_camera(camera) for camera in self.cameras)
                 self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
-                check_depth(self.log, in_log)
+                check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
         except BaseException:
             self.log.close()

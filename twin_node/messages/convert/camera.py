@@ -183,15 +183,15 @@ class TransformTree:
         """Whether a transform gives the frame a parent."""
         return frame in self._parents
 
-    def lookup(self, frame: str) -> Float64:
-        """[4, 4] maps coordinates of `frame` to `base_link`; raises `MessageError` where no transforms join them."""
+    def lookup(self, frame: str, base: str = BASE_FRAME) -> Float64:
+        """[4, 4] maps coordinates of `frame` to `base`; raises `MessageError` where no transforms join them."""
         root_of_frame, T_root_frame = self._to_root(frame)
-        root_of_base, T_root_base = self._to_root(BASE_FRAME)
+        root_of_base, T_root_base = self._to_root(base)
         if root_of_frame != root_of_base:
             known = ", ".join(sorted({*self._parents, *(parent for parent, _ in self._parents.values())})) or "none"
             raise MessageError(
-                f"frame {frame}: no transforms join it to {BASE_FRAME} (known frames: {known}); add them to /tf_static "
-                "or give a rig file"
+                f"frame {frame}: no transforms join it to {base} (known frames: {known}); add them to /tf_static or "
+                "give a rig file"
             )
         joined: Float64 = inverse_pose(T_root_base) @ T_root_frame
         return joined
