@@ -40,9 +40,11 @@ def test_every_obstacle_has_a_marker_of_its_shape_and_kind() -> None:
 
 def test_frusta_pass_through_the_corners_of_the_image() -> None:
     K = np.array([[100.0, 0, 49.5], [0, 100.0, 29.5], [0, 0, 1]])
-    message = convert.frusta_to_markers(Rig((RigCamera("front", 100, 60, K, np.eye(4)),)), STAMP)
+    looking_down = np.array([[1.0, 0, 0, 0.5], [0, -1, 0, 0], [0, 0, -1, 2], [0, 0, 0, 1]])
+    message = convert.frusta_to_markers(Rig((RigCamera("front", 100, 60, K, looking_down),)), STAMP)
     [marker] = message.markers
-    assert marker.header.frame_id == "front_optical_frame"
+    assert marker.header.frame_id == "base_link", "a driver of others gives the camera's own frame another name"
+    assert (marker.pose.position.x, marker.pose.position.z, abs(marker.pose.orientation.x)) == (0.5, 2.0, 1.0)
     points = np.array([[p.x, p.y, p.z] for p in marker.points])
     assert len(points) == 16
     far = points[points[:, 2] > 0]

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin_node.messages.convert.camera import BASE_FRAME, optical_frame, transform_stamped
+from twin_node.geometry import quat_from_rotation
+from twin_node.messages.convert.camera import BASE_FRAME, transform_stamped
 from twin_node.messages.stamps import header, to_duration
 from twin_node.messages.types import Message, message_type
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape, Rig, RigCamera, Separation
@@ -51,10 +52,14 @@ def obstacles_to_markers(obstacles: Obstacles) -> Message:
 
 
 def frusta_to_markers(rig: Rig, stamp: int) -> Message:
-    """`visualization_msgs/msg/MarkerArray` of what each camera sees, in its optical frame; distortion is left out."""
+    """`visualization_msgs/msg/MarkerArray` of what each camera sees, distortion left out.
+
+    It is in `base_link`: cameras of other drivers have optical frames of other names.
+    """
     markers = []
     for number, camera in enumerate(rig.cameras):
-        marker = _marker(stamp, optical_frame(camera.name), "frusta", number, _LINE_LIST, FRUSTUM_COLOUR)
+        marker = _marker(stamp, BASE_FRAME, "frusta", number, _LINE_LIST, FRUSTUM_COLOUR)
+        marker.pose = _pose(camera.T_base_cam[:3, 3], quat_from_rotation(camera.T_base_cam[:3, :3]))
         marker.scale = _vector(np.array([LINE_WIDTH_M, 0.0, 0.0]))
         point = message_type("geometry_msgs/msg/Point")
         marker.points = [point(x=float(x), y=float(y), z=float(z)) for x, y, z in _edges(camera)]

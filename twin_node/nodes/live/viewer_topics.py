@@ -8,9 +8,12 @@ from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLE_MARKERS, OBSTACLES, SEPARATION, SEPARATION_MARKER, TF
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.runtime.node import Node
+from twin_node.runtime.rmw_zenoh import EntityKind
 
 FRUSTA_PERIOD_S = 5.0
 """How often the frusta are sent again, for viewers that do not ask for what is latched."""
+LOOK_NS = 1_000_000_000
+"""How often it is looked who else publishes frames, ns."""
 
 
 def make_viewer_topics(setup: Setup) -> Node:
@@ -22,7 +25,8 @@ class ViewerTopicsNode(Node):
     """Turns our own messages into `visualization_msgs` and `tf2_msgs`.
 
     Markers of hundreds of obstacles at camera rate, and frames at that of the controller, would keep a third of a core
-    busy: they are made when somebody looks.
+    busy: they are made when somebody looks. Frames are left to whoever else publishes any: a robot_state_publisher has
+    the arm's links under the same names, each below the one before and where the arm's own calibration has it.
     """
 
     def __init__(self, setup: Setup, source: RigSource, arm: ArmModel) -> None:
@@ -31,8 +35,12 @@ class ViewerTopicsNode(Node):
         self._timers = setup.timers
         self._source = source
         self._arm = arm
+        self._endpoints = setup.endpoints
+        self._looked: int | None = None
+        self._is_told_frames = False
 
     def on_configure(self) -> None:
+        self._endpoints()  # it is told of others from the first call on
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
         self.bus.subscribe(SEPARATION, self._on_separation)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
@@ -53,10 +61,19 @@ class ViewerTopicsNode(Node):
         self.bus.publish(SEPARATION_MARKER, convert.separation_to_marker(separation))
 
     def _on_joints(self, message: Message) -> None:
-        if not self._bus.is_heard(TF):
+        if not self._bus.is_heard(TF) or self._are_frames_told():
             return
         sample = convert.joint_sample_from_message(message)
         if not set(sample.names) & set(self._arm.joint_names):
             return  # a gripper's, or an axis': they come on the same topic
         poses = forward_kinematics(self._arm, self._arm.ordered_positions(sample))
         self.bus.publish(TF, convert.links_to_tf(self._arm.link_names, poses, sample.stamp))
+
+    def _are_frames_told(self) -> bool:
+        """Whether another node publishes frames."""
+        now = self.clock.now()
+        if self._looked is None or abs(now - self._looked) > LOOK_NS:
+            self._looked, topic = now, self._bus.resolved(TF)
+            publishers = {e.node.name for e in self._endpoints() if e.topic == topic and e.kind is EntityKind.PUBLISHER}
+            self._is_told_frames = bool(publishers - {self.name})
+        return self._is_told_frames
