@@ -147,10 +147,15 @@ def test_a_gripper_that_publishes_its_own_joints_beside_the_arms_changes_nothing
 
 
 def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
+    """`/diagnostics` said that nobody publishes any, and that a made-up cycle is judged."""
     cell = Cell()
     cell.gripper()
     with pytest.raises(TwinError, match="found finger_joint"):
         cell.somebody()
+    told = cell.node.diagnoses()[0]
+    assert told.level is convert.Level.ERROR and "expected shoulder_pan_joint" in told.message
+    cell.joints()
+    assert cell.node.diagnoses()[0].message == "known"
 
 
 @pytest.mark.parametrize("told", ["some joints", "NaN joints", "NaN path", "to stay"])

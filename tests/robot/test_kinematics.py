@@ -12,7 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from twin_node.robot import UR_NAMES, RobotError, forward_kinematics, place_capsules, ur_dh, ur_model
+from twin_node.robot import (
+    UR_NAMES,
+    RobotError,
+    arm_model,
+    forward_kinematics,
+    place_capsules,
+    ur_dh,
+    ur_model,
+)
 from twin_node.robot.kinematics import tool_jacobian
 from twin_node.scene import JointSample
 
@@ -89,6 +97,18 @@ def test_joints_are_put_into_the_models_order() -> None:
     names = ("gripper", *(model.joint_names[j] for j in shuffled))
     sample = JointSample(0, names, np.array([9.0, *(float(j) for j in shuffled)]), np.zeros(7))
     np.testing.assert_array_equal(model.ordered_positions(sample), np.arange(6.0))
+
+
+def test_joints_with_a_prefix_are_taken_once_they_are_named() -> None:
+    """As a UR driver with a `tf_prefix` publishes them, here of two arms on one topic."""
+    left, right = (tuple(prefix + name for name in ur_model("ur5e").joint_names) for prefix in ("left_", "right_"))
+    sample = JointSample(0, (*right, *left), np.arange(12.0), np.zeros(12))
+    with pytest.raises(RobotError, match=rf"say that they are called so: 'arm.joints: \[{', '.join(right)}\]'"):
+        ur_model("ur5e").ordered_positions(sample)
+    np.testing.assert_array_equal(arm_model("ur5e", joint_names=left).ordered_positions(sample), np.arange(6.0, 12))
+    for wrong in (left[:5], left[::-1], ()):
+        with pytest.raises(RobotError, match="expected those of ur5e in this order, shoulder_pan_joint"):
+            arm_model("ur5e", joint_names=wrong)
 
 
 def test_wrong_joint_values_are_refused() -> None:

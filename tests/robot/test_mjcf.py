@@ -206,7 +206,7 @@ def test_an_arm_with_a_gripper_is_told_how_to_name_its_joints(tmp_path: Path) ->
     model = arm_model(path, joint_names=("shoulder", "elbow"))
     assert model.joint_names == ("shoulder", "elbow")
     assert (model.capsules.links == 2).sum() == 3  # the fingers are carried by the last link
-    with pytest.raises(RobotError, match="joints: expected those of ur5e, shoulder_pan_joint"):
+    with pytest.raises(RobotError, match="joints: expected those of ur5e in this order, shoulder_pan_joint"):
         arm_model("ur5e", joint_names=("shoulder",))
 
 

@@ -10,7 +10,7 @@ from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
 from twin_node.arm.path import STEP_NS, extrapolate, kept_up, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
-from twin_node.robot import ArmModel
+from twin_node.robot import ArmModel, RobotError
 from twin_node.scene import Float64, JointPath, JointSample
 
 _LEAST_SHARE = 0.05
@@ -55,12 +55,22 @@ class ArmPredictor:
     @property
     def is_made_up(self) -> bool:
         """Whether nobody has told of an arm yet: the cycle stands for it."""
-        return self._path is None and self._joints is None and self._refused is None
+        return self._path is None and self._joints is None and self.refused is None
 
     @property
     def refused(self) -> str | None:
-        """Why all that was told of an arm so far cannot be believed; None: some can, or nothing was told."""
-        return self._refused if self._path is None and self._joints is None else None
+        """Why all that was told of an arm so far cannot be believed; None: some can, or nothing was told.
+
+        Joints of others alone (of an arm whose driver calls them otherwise) tell that there is one.
+        """
+        if self._path is not None or self._joints is not None:
+            return None
+        if self._refused is None and self._other is not None:
+            try:
+                self._model.order(self._other.names, self._other.positions)
+            except RobotError as error:
+                return str(error)
+        return self._refused
 
     def refuse(self, reason: str) -> None:
         """Something was told of an arm that cannot be believed: there is one, and nobody knows where."""
@@ -126,8 +136,8 @@ class ArmPredictor:
                 raise ArmError(f"the arm's joints are {when}")
             here = path_from_sample(self._model, joints, stamp).positions[0]  # as fast as it is let go until then
             return extrapolate(self._model, here, self._intended, stamp)
-        if self.refused is not None:
-            raise ArmError(self.refused)
+        if path is None and self._refused is not None:
+            raise ArmError(self._refused)
         if path is None and self._other is not None:
             self._model.order(self._other.names, self._other.positions)
         if path is None:

@@ -116,7 +116,8 @@ class ArmParameters:
     kinematics: str | None = None
     """A UR arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
     joints: tuple[str, ...] = ()
-    """Names of its joints from base to tool, in a file that has others too (a gripper's); none: all of the file's."""
+    """Names of its joints from base to tool: of a UR arm whose driver puts a prefix before them (`left_`), and of a
+    file that has others too (a gripper's); none: a UR arm's own, all of the file's."""
     tool: tuple[ToolCapsule, ...] = ()
     """What it carries for good, a gripper at its widest for example: kept away, and masked, as the arm's links are."""
     allowed: tuple[AllowedBox, ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from twin_node.resources import find
@@ -19,17 +20,16 @@ def arm_model(
 ) -> ArmModel:
     """Model of a UR arm ("ur5e"), of the arm in an MJCF or URDF file ("my_arm.xml"), or of airo-models' ("airo:ur5e").
 
-    `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`), `joint_names` picks the arm's
-    joints of a file that has others too (see `load_arm`). Raises `RobotError` for a name that is neither, for joints
-    that the arm does not have, and for a file that holds no serial arm or another's calibration; `ResourceError` for a
-    file that is not there.
+    `kinematics` is a UR arm's own calibration file (see `with_factory_kinematics`). `joint_names`, from base to tool,
+    picks the arm's joints of a file that has others too (see `load_arm`), and says how a UR arm's are called where its
+    driver puts a prefix before them (`left_shoulder_pan_joint`). Raises `RobotError` for a name that is neither, for
+    joints that the arm does not have, and for a file that holds no serial arm or another's calibration; `ResourceError`
+    for a file that is not there.
     """
     if str(name).startswith(AIRO):
         name = _airo_file(str(name).removeprefix(AIRO))
     if str(name) in UR_NAMES or not Path(name).suffix:
-        model = ur_model(str(name))
-        if joint_names is not None and tuple(joint_names) != model.joint_names:
-            raise RobotError(f"joints: expected those of {name}, {', '.join(model.joint_names)}; leave them out")
+        model = _called(ur_model(str(name)), joint_names)
         return model if kinematics is None else with_factory_kinematics(model, kinematics)
     if kinematics is not None:
         raise RobotError(
@@ -38,6 +38,20 @@ def arm_model(
     from twin_node.robot.mjcf import load_arm  # MuJoCo takes a third of a second to import
 
     return load_arm(find(name), joint_names)
+
+
+def _called(model: ArmModel, joint_names: Sequence[str] | None) -> ArmModel:
+    """The same arm, its joints under other names."""
+    if joint_names is None:
+        return model
+    own = model.joint_names
+    is_prefixed = len(joint_names) == len(own) and all(map(str.endswith, joint_names, own))
+    if not is_prefixed:
+        raise RobotError(
+            f"joints: expected those of {model.name} in this order, {', '.join(own)}, each with a prefix if its driver "
+            f"gives it one, found {', '.join(joint_names)}; leave them out if there is none"
+        )
+    return replace(model, joint_names=tuple(joint_names))
 
 
 def _airo_file(name: str) -> str:

@@ -86,9 +86,11 @@ class ArmModel:
         """
         missing = [name for name in self.joint_names if name not in names]
         if missing:
+            advice = f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
+            if prefixed := self._prefixed(names):
+                advice = f"say that they are called so: 'arm.joints: [{', '.join(prefixed)}]', or in the arm's own file"
             raise RobotError(
-                f"joint values: expected {', '.join(self.joint_names)}, found {', '.join(names) or 'none'}; "
-                f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
+                f"joint values: expected {', '.join(self.joint_names)}, found {', '.join(names) or 'none'}; {advice}"
             )
         given = np.asarray(values, dtype=np.float64)
         if given.ndim == 0 or given.shape[-1] != len(names):
@@ -99,6 +101,13 @@ class ArmModel:
         ordered = given[..., [list(names).index(name) for name in self.joint_names]]
         _refuse_wild(ordered)
         return ordered
+
+    def _prefixed(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The arm's joints under names of these that have one prefix before them all; none where there are none."""
+        first = self.joint_names[0]
+        prefixes = (name.removesuffix(first) for name in names if name.endswith(first))
+        called = (tuple(prefix + joint for joint in self.joint_names) for prefix in prefixes)
+        return next((joints for joints in called if set(joints) <= set(names)), ())
 
     def ordered_positions(self, sample: JointSample) -> Float64:
         """Angles [J] of a sample in the model's own order; raises `RobotError` as `order` does."""
