@@ -121,3 +121,51 @@ def test_a_check_of_the_log_names_it(tmp_path: Path) -> None:
         with open_log(foreign_log(tmp_path / f"{fx}.mcap", fx)) as log:
             check = check_log(log)
         assert len([fault for fault in check.faults if "depth aligned with its colour image" in fault]) == others
+
+
+def log_of(path: Path, topics: dict[str, str], recorded: int = 5) -> Path:
+    """One set of images on such topics: `rgb`, `16UC1`, or `png` for compressed depth; recorded at a time, ns."""
+    frame = optical_frame("oak")
+    made = {
+        "rgb": convert.raw_image("oak", 5, np.zeros((48, 64, 3), np.uint8)),
+        "16UC1": convert.depth_image("oak", 5, np.ones((48, 64), np.float32), "16UC1"),
+        "png": convert.compressed_depth_image("oak", 5, np.ones((48, 64), np.float32)),
+    }
+    with LogWriter(path) as log:
+        for topic, kind in topics.items():
+            assert made[kind].header.frame_id == frame
+            log.write(topic, made[kind], recorded)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind"), [("stereo/image_raw", "16UC1"), ("stereo/image_raw/compressedDepth", "png")]
+)
+def test_depth_whose_name_does_not_say_so_is_told_by_what_it_holds(tmp_path: Path, topic: str, kind: str) -> None:
+    """depthai_ros has depth on `stereo`: it was taken for a colour camera, or compressed for nothing at all."""
+    path = log_of(tmp_path / "log.mcap", {"/camera_camera/rgb/image_raw": "rgb", f"/camera_camera/{topic}": kind})
+    with LogSession(path, rig_of(tmp_path / "rig.yaml")) as session:
+        [camera] = session.cameras
+        assert (camera.name, camera.depth, session.doubts) == ("camera_camera", f"/camera_camera/{topic}", ())
+
+
+def test_depth_of_no_camera_is_named_with_what_makes_it_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Azure's driver, without a namespace; all its depth was left out without a word."""
+    path = log_of(tmp_path / "log.mcap", {"/camera_camera/image_raw": "rgb", "/depth_to_rgb/image_raw": "16UC1"})
+    rig = rig_of(tmp_path / "rig.yaml")
+    with LogSession(path, rig) as session:
+        [line] = session.doubts
+    remap = line.split("--remap ")[1]
+    assert line.startswith("/depth_to_rgb/image_raw is left out")
+    with open_log(path) as log:
+        assert line in check_log(log).faults
+    with LogSession(path, rig, dict([remap.split(":=")])) as session:
+        assert session.cameras[0].depth is not None and session.doubts == ()
+
+
+def test_images_that_were_recorded_by_another_clock_than_stamped_are_named(tmp_path: Path) -> None:
+    """A simulator's, recorded without --use-sim-time: the arm stood from first to last, and nobody said why."""
+    path = log_of(tmp_path / "log.mcap", {"/camera_camera/image_raw": "rgb"}, recorded=1_700_000_000_000_000_000)
+    with LogSession(path, rig_of(tmp_path / "rig.yaml")) as session:
+        [line] = session.doubts
+    assert line.startswith("images are stamped 1700000000.0 s before they were recorded, by another clock")

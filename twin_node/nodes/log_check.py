@@ -13,12 +13,13 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
+from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, TF_STATIC, CameraTopics, GraphError, find_cameras
+from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, TF_STATIC, CameraTopics, GraphError
 from twin_node.scene import RigCamera
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -181,16 +182,17 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
 def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     names = renamed(log)
     try:
-        cameras = [names.original_camera(camera) for camera in find_cameras(names.spoken, str(log.path))]
+        in_log = cameras_of(log, names)
     except GraphError as error:
         return [str(error)]
+    cameras = [names.original_camera(camera) for camera in in_log.found]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
     try:
         check_depth(log, cameras, names.original(TF_STATIC))
     except GraphError as error:
-        faults = [str(error)]
+        faults = [*in_log.unused, str(error)]
     else:
-        faults = []
+        faults = [*in_log.unused]
     try:
         rig = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:

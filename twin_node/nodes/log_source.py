@@ -9,11 +9,14 @@ from typing import Any
 
 from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
+from twin_node.messages import header_stamp
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
+from twin_node.nodes.contents import content_of
+from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics, find_cameras
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
 from twin_node.rig import workspace_of
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -21,6 +24,10 @@ from twin_node.scene import Camera, Float64, FrameSet, Rig
 
 DEFAULT_WIDTH = 160
 """Working width in pixels at which the twin keeps camera rate on two CPU cores."""
+
+
+OTHER_CLOCK_NS = 1_000_000_000
+"""No image is recorded so long after its exposure, by one clock."""
 
 
 class LogSession:
@@ -40,11 +47,14 @@ class LogSession:
         try:
             names = renamed(self.log, remaps)
             with damage_first(self.log):
-                self.cameras: tuple[CameraTopics, ...] = find_cameras(names.spoken, str(path))
+                cameras = cameras_of(self.log, names)
+                self.cameras: tuple[CameraTopics, ...] = cameras.found
                 in_log = tuple(names.original_camera(camera) for camera in self.cameras)
                 self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
                 check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
+            self.doubts: tuple[str, ...] = (*cameras.unused, *_clock_doubts(self.log, in_log[0], self.rig))
+            """What is as it may not be meant, a line each: depth of no camera, images stamped by another clock."""
         except BaseException:
             self.log.close()
             raise
@@ -71,6 +81,21 @@ class LogSession:
 
     def __exit__(self, *_: object) -> None:
         self.log.close()
+
+
+def _clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:
+    """A line where images were recorded long after their stamps; `camera`: one of the log's, as the log calls it."""
+    calibrated = next((one for one in rig.cameras if one.name == camera.name), None)
+    first = next(log.messages([camera.image]), None)
+    if calibrated is None or first is None:
+        return
+    old_ns = first.stamp - calibrated.rig_time(header_stamp(content_of(first, log)))
+    if old_ns > OTHER_CLOCK_NS:
+        yield (
+            f"images are stamped {old_ns / 1e9:.1f} s before they were recorded, by another clock: no arm may go by "
+            "what is so old, and each decision is to stand; record by the clock of the stamps (a simulator's: ros2 bag "
+            "record --use-sim-time)"
+        )
 
 
 class LogSource:

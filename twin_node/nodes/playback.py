@@ -9,6 +9,7 @@ from pathlib import Path
 from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.bag.latched import newest_before
 from twin_node.nodes.calibration import damage_first, rig_for
+from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.renaming import Renamed, of_log, renamed
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import (
@@ -18,7 +19,6 @@ from twin_node.nodes.topics import (
     TF_STATIC,
     CameraTopics,
     GraphError,
-    find_cameras,
     has_colour,
     has_images,
 )
@@ -168,7 +168,7 @@ class Playback:
         for log, names in zip(self._logs, self._names, strict=True):
             if has_colour(names.spoken):
                 with damage_first(log):
-                    cameras = find_cameras(names.spoken, str(log.path))
+                    cameras = cameras_of(log, names).found
                     in_log = tuple(names.original_camera(camera) for camera in cameras)
                     rig = rig_for(log, in_log, rig_file, names.original(TF_STATIC))
                 calibrated = {camera.name for camera in rig.cameras}

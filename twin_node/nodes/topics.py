@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
@@ -168,24 +168,29 @@ def kind_of_own(topic: str) -> TopicKind:
     return kind
 
 
-def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, ...]:
+def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str] = ()) -> tuple[CameraTopics, ...]:
     """Cameras among the topics (name -> type) of a log, by ROS naming, sorted by name.
 
     A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
     before `image...`, `color...` or `rgb...`. Of several depth topics that is taken which drivers have aligned with the
     colour image, by its name. A camera with both a raw and a compressed colour topic is read from the compressed one.
     What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
+    `measured`: topics that are known to hold depth, whatever their names say; where these name no camera that has
+    colour images, the path above may (`/oak/stereo/image_raw` of depthai_ros, beside `/oak/rgb/image_raw`).
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
     images = [topic for topic in types if types[topic] in (COMPRESSED, RAW)]
     images.sort(key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
+    for topic in images:
+        if _is_colour(topic) and topic not in measured:
+            colour.setdefault(camera_of(topic), topic)
     depth: dict[str, str] = {}
     for topic in images:
-        if _is_depth(topic):
+        if topic in measured:
+            depth.setdefault(_measured_by(topic, colour), topic)
+        elif _is_depth(topic):
             depth.setdefault(camera_of(topic), topic)
-        elif _is_colour(topic):
-            colour.setdefault(camera_of(topic), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
         missing = "record the cameras too, or import videos with 'twin_node import video'"
@@ -201,7 +206,9 @@ def find_cameras(types: Mapping[str, str], source: str) -> tuple[CameraTopics, .
             info=_info_topic(name, topic, types),
             depth=depth.get(name),
             depth_type=types[depth[name]] if name in depth else None,
-            depth_info=_depth_info_topic(depth[name], types) if name in depth else None,
+            depth_info=_depth_info_topic(depth[name], _info_topic(name, topic, types), types)
+            if name in depth
+            else None,
             is_rectified=is_rectified(topic),
         )
         for name, topic in sorted(colour.items())
@@ -228,11 +235,23 @@ def _is_colour(topic: str) -> bool:
 
 def camera_of(topic: str) -> str:
     """Camera name of an image topic: the path before `image...`, `color`, `rgb`, `depth` or the like, joined by `_`."""
-    parts = topic.strip("/").split("/")
+    return "_".join(path_of(topic))
+
+
+def path_of(topic: str) -> tuple[str, ...]:
+    """The parts of an image topic's name that `camera_of` joins."""
+    parts = tuple(topic.strip("/").split("/"))
     for i, part in enumerate(parts):
         if i and part.startswith(("image", "color", "rgb", "depth", "aligned_depth", "compressed")):
-            return "_".join(parts[:i])
-    return "_".join(parts[:-1]) or parts[0]
+            return parts[:i]
+    return parts[:-1] or parts[:1]
+
+
+def _measured_by(topic: str, cameras: Collection[str]) -> str:
+    """The one of the cameras whose depth a topic holds by its path, or by the path above; the former where neither."""
+    path = path_of(topic)
+    names = ("_".join(path), "_".join(path[:-1]))
+    return next((name for name in names if name in cameras), names[0])
 
 
 def is_rectified(image: str) -> bool:
@@ -246,9 +265,12 @@ def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
     return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
 
 
-def _depth_info_topic(depth: str, types: Mapping[str, str]) -> str | None:
+def _depth_info_topic(depth: str | None, info: str, types: Mapping[str, str]) -> str | None:
+    """Beside a depth topic; `info`: the colour image's own."""
+    if depth is None:
+        return None
     beside = _info_beside(depth)
-    return beside if "depth" in beside and types.get(beside) == CAMERA_INFO else None
+    return beside if beside != info and types.get(beside) == CAMERA_INFO else None
 
 
 def _info_beside(image: str) -> str:
