@@ -14,7 +14,7 @@ from twin_node.bag import LogWriter, open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.errors import TwinWarning
-from twin_node.messages import convert, header_stamp
+from twin_node.messages import convert, header_stamp, message_type
 from twin_node.model.sequence import ReadOptions
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -149,3 +149,41 @@ def test_rectified_images_are_not_rectified_again(tmp_path: Path, name: str) -> 
     with LogSession(tmp_path / "log.mcap", remaps=remaps) as session:
         [view] = next(iter(LogSource(session, SynchronizerParameters()))).views
     np.testing.assert_array_equal(view.rgb, shown)
+
+
+@pytest.mark.parametrize(
+    ("frame", "down_deg", "is_refused"),
+    [
+        ("front_link", 0, True),
+        ("front_link", 60, True),
+        ("front_optical_frame", 60, False),
+        ("default_cam", None, False),
+    ],
+)
+def test_a_camera_whose_images_are_said_to_be_of_a_links_frame_is_refused(
+    tmp_path: Path, frame: str, down_deg: float | None, is_refused: bool
+) -> None:
+    """Simulators and careless drivers name the link (x forward, z up): its images were taken to look at the ceiling.
+
+    None: the frame is optical whatever its name, and its camera looks up by 30 degrees.
+    """
+    down = np.deg2rad(down_deg or 0)
+    T = np.eye(4)
+    T[:3, :3] = [[np.cos(down), 0, np.sin(down)], [0, 1, 0], [-np.sin(down), 0, np.cos(down)]]
+    if down_deg is None:
+        up = np.deg2rad(30)
+        T[:3, :3] = [[0, np.sin(up), np.cos(up)], [-1, 0, 0], [0, -np.cos(up), np.sin(up)]]
+    T[:3, 3] = [-1.0, 0.0, 0.5]
+    K = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]])
+    info, path = convert.camera_info(RigCamera("front", 64, 48, K, np.eye(4)), 5), tmp_path / "log.mcap"
+    info.header.frame_id = frame
+    with LogWriter(path) as log:
+        transforms = [convert.transform_stamped("base_link", frame, T, 5)]
+        log.write("/tf_static", message_type("tf2_msgs/msg/TFMessage")(transforms=transforms), 5)
+        log.write("/front/camera_info", info, 5)
+        log.write("/front/image_raw", convert.raw_image("front", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    if not is_refused:
+        LogSession(path).log.close()
+        return
+    with pytest.raises(GraphError, match=f"expected an optical frame .*, found '{frame}', whose z axis points up"):
+        LogSession(path)

@@ -23,6 +23,9 @@ from twin_node.scene import Float64, Rig
 
 ANOTHER_LENS = 0.05
 """Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
+UPWARD, LEVEL = 0.25, 0.3
+"""Least of a z axis and most of a y axis along the base's z that tell a link's frame (x forward, y left, z up) up to 75
+degrees down from an optical one, whose y points down unless its camera lies on its side."""
 ANOTHER_PLACE_M = 0.005
 """So far apart are no two frames of one lens, m; lenses of one device are 15 mm and more."""
 
@@ -182,13 +185,21 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str)
 
 
 def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, tf_static: str) -> Float64:
-    """[4, 4] the camera's pose in the base. Raises `GraphError` where the log does not tell it."""
+    """[4, 4] the camera's pose in the base. Raises `GraphError` where the log does not tell it, or tells a link's."""
+    frame = info.header.frame_id.lstrip("/")
     try:
-        return tree.lookup(info.header.frame_id.lstrip("/"))
+        T_base_cam = tree.lookup(frame)
     except MessageError as error:
         others = [topic.name for topic in log.topics if topic.name != tf_static and is_of_several(topic.name)]
         hint = f"; there are some on {', '.join(others)}: --remap {others[0]}:={TF_STATIC}" if others else ""
         raise GraphError(f"{log.path}: camera '{camera.name}': {error}{hint}") from None
+    if "optical" not in frame and T_base_cam[2, 2] > UPWARD and abs(T_base_cam[2, 1]) < LEVEL:
+        raise GraphError(
+            f"{log.path}: camera '{camera.name}': expected an optical frame (z forward, x right, y down), found "
+            f"{frame!r}, whose z axis points up as a link's does; let the camera's driver name the optical one in "
+            "header.frame_id (and /tf_static place it), or give --rig RIG.yaml"
+        )
+    return T_base_cam
 
 
 def _calibration_messages(
