@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin_node.nodes.live.rig_source import RigParameters, read_rig
+from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
 from twin_node.nodes.topics import GraphError
 from twin_node.rig import RigFile, save_rig
 from twin_node.scene import Rig, RigCamera
@@ -30,6 +30,15 @@ def test_a_rig_that_is_not_tied_to_the_robot_drives_no_arm(tmp_path: Path, frame
 def test_a_rig_in_the_base_is_taken(tmp_path: Path, frame: str) -> None:
     save_rig(RigFile(Rig((CAMERA,)), frame=frame), tmp_path / "rig.yaml")
     assert read_rig(RigParameters(file=str(tmp_path / "rig.yaml"))).cameras[0].name == "left"
+
+
+def test_topics_of_a_driver_in_a_namespace_are_named_from_the_root() -> None:
+    """realsense2_camera has its node's name and its camera's before its topics."""
+    parameters = RigParameters("rig.yaml", image="/{camera}/{camera}/color/image_raw", depth="depth/image_rect")
+    found = topics_of("left", parameters)
+    assert (found.image, found.depth) == ("/left/left/color/image_raw", "/left/depth/image_rect")
+    with pytest.raises(GraphError, match=r"depth: expected \{camera\} in a topic from the root, found /d/image"):
+        RigParameters("rig.yaml", depth="/d/image")
 
 
 @pytest.mark.parametrize(("reference_s", "live"), [(11, False), (1_767_312_000, True)])

@@ -8,6 +8,9 @@ from pathlib import Path
 from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
 from twin_node.scene import Float64, Rig
 
+CAMERA = "{camera}"
+"""Stands for each camera's name in a topic."""
+
 
 @dataclass(frozen=True)
 class RigParameters:
@@ -20,10 +23,17 @@ class RigParameters:
     scenario: str = ""
     """Scenario of the simulated cell."""
     image: str = "image_raw/compressed"
-    """Topic of a camera's images below its name; compressed where it ends so."""
+    """Topic of a camera's images below its name, or from the root with `{camera}` for it
+    (`/{camera}/{camera}/color/image_raw`); compressed where it ends so."""
     depth: str = ""
-    """Topic of its depth images below its name, aligned with the colour images (`aligned_depth_to_color/image_raw` of
+    """The same of its depth images, aligned with the colour images (`aligned_depth_to_color/image_raw` of
     realsense2_camera); empty: none."""
+
+    def __post_init__(self) -> None:
+        """Raises `GraphError` for a topic that would be the same of every camera."""
+        for key, topic in (("image", self.image), ("depth", self.depth)):
+            if topic.startswith("/") and CAMERA not in topic:
+                raise GraphError(f"{key}: expected {CAMERA} in a topic from the root, found {topic}; put it in")
 
 
 @dataclass(frozen=True)
@@ -68,12 +78,17 @@ def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
     """The topics of a camera that publishes live."""
     return CameraTopics(
         name=camera,
-        image=f"/{camera}/{parameters.image}",
+        image=_topic(camera, parameters.image),
         image_type=COMPRESSED if parameters.image.endswith("/compressed") else RAW,
         info=f"/{camera}/camera_info",
-        depth=f"/{camera}/{parameters.depth}" if parameters.depth else None,
+        depth=_topic(camera, parameters.depth) if parameters.depth else None,
         depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
     )
+
+
+def _topic(camera: str, name: str) -> str:
+    """Of a name below the camera's, or one from the root."""
+    return (name if name.startswith("/") else f"/{CAMERA}/{name}").replace(CAMERA, camera)
 
 
 def working_volume(source: RigSource, width: int | None) -> Float64:
