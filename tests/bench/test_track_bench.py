@@ -15,6 +15,7 @@ from twin_node.bench.track import TrackBenchParameters, last_less_second, run
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.bench.track_scores import MethodScore, TrackScores, score_foresight, score_renderings
 from twin_node.model import ModelParameters, SeedParameters
+from twin_node.nodes import spool
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.report.quality import Renderings, score
 from twin_node.nodes.spool import Tick
@@ -160,6 +161,15 @@ def test_a_short_run_does_not_say_that_memory_does_not_grow(
     cell_log: Callable[..., Path], asked: dict[str, float]
 ) -> None:
     assert run(cell_log(0.5), TrackBenchParameters(chain=SMALL, **asked)).as_json()["growth_mb"] is None
+
+
+def test_a_run_too_long_to_be_scored_whole_says_on_how_many_sets_it_is(
+    cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spool, "MAX_SETS", 4)
+    monkeypatch.setattr(spool, "BLOCK_NS", 100_000_000)
+    found = run(cell_log(0.5), TrackBenchParameters(chain=SMALL)).as_json()
+    assert 0 < found["scored"] < found["sets"]
 
 
 def test_wrong_requests_are_named(cell_log: Callable[..., Path]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twin_logs import write_twin_log
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.bag.rig import write_rig
@@ -67,6 +68,14 @@ def test_what_a_replay_would_refuse_is_found(tmp_path: Path) -> None:
     write_log(seldom, Rig((LEFT, replace(LEFT, name="right")), BOX), sets=1, apart_ns=5 * MS)
     (fault,) = checked(seldom).faults
     assert fault.startswith("no set of images of left, right: their stamps lie too far apart, or too few")
+
+
+def test_what_a_twin_has_said_is_sound_without_images(tmp_path: Path) -> None:
+    """They are in the log that it was made from: record's own default was called unsound."""
+    path = tmp_path / "twin.mcap"
+    write_twin_log(path)
+    with open_log(path) as log:
+        assert check_log(log).faults == ()
 
 
 def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> None:

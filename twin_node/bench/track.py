@@ -58,6 +58,8 @@ class TrackBench:
 
     mode: str
     followed: Followed
+    scored: int
+    """Sets that the scores are of: of a long run, blocks of a second all over it (see `Spool`)."""
     scores: TrackScores
     foresight: ForesightScore
     left_out: Mapping[str, TrackScores]
@@ -81,6 +83,7 @@ class TrackBench:
         return {
             "mode": self.mode,
             "sets": run.sets,
+            "scored": self.scored,
             "dropped": run.dropped,
             "dropped_share": run.dropped / (run.sets + run.dropped),
             "hurried": model.hurried,
@@ -169,12 +172,12 @@ def _once(
                 progress(seconds)
         if followed.sets == 0:
             raise _no_sets(log)
-        scores, foresight = _scores(spool, followed)
+        scored, (scores, foresight) = len(spool), _scores(spool, followed)
     memory = followed.memory_bytes
     start_sets = int(WARM_UP * len(memory))
     growth = memory[-1] - memory[start_sets] if start_sets else None
     mode = "lockstep" if parameters.rate is None else "real time"
-    return TrackBench(mode, followed, scores, foresight, {}, (), growth, looking_back.mean.value)
+    return TrackBench(mode, followed, scored, scores, foresight, {}, (), growth, looking_back.mean.value)
 
 
 def _bounce(sets: list[FrameSet], parameters: TrackBenchParameters, log: Path, progress: Progress) -> TrackBench:
@@ -190,7 +193,7 @@ def _bounce(sets: list[FrameSet], parameters: TrackBenchParameters, log: Path, p
         passes.append(score_renderings(shown))
         ends.append(followed.memory_bytes[-1])
     growth = ends[-1] - ends[1] if len(ends) > 2 else None
-    return TrackBench("to and fro", followed, passes[-1], ForesightScore(None, None), {}, passes, growth)
+    return TrackBench("to and fro", followed, len(sets), passes[-1], ForesightScore(None, None), {}, passes, growth)
 
 
 def _scores(spool: Spool, followed: Followed) -> tuple[TrackScores, ForesightScore]:

@@ -19,7 +19,16 @@ from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, TF_STATIC, CameraTopics, GraphError
+from twin_node.nodes.topics import (
+    CAMERA_INFO,
+    COMPRESSED,
+    RAW,
+    RECORDED,
+    TF_STATIC,
+    CameraTopics,
+    GraphError,
+    has_images,
+)
 from twin_node.scene import RigCamera
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -181,6 +190,8 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
 
 def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     names = renamed(log)
+    if not has_images(names.spoken) and any(topic in RECORDED for topic in names.spoken):
+        return []  # what a twin has said; the images that it was made from are in another log
     try:
         in_log = cameras_of(log, names)
     except GraphError as error:
