@@ -115,28 +115,15 @@ def cover(
     (`Obstacles.as_seen`), and tells how far from there it may get.
     """
     parameters = parameters or CoverParameters()
-    grid = occupancy.grid
-    stamps = [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
+    grid, stamps = occupancy.grid, _stamps(occupancy)
     if hidden is None:
-        unknown = decode_runs(occupancy.unknown_runs, grid.size)
-        hidden = Hidden(reachable=Bits.of_mask(grid.dims, unknown), maybe_full=Bits.none(grid.dims))
-    throughout, share = (stamps[0], stamps[-1]), parameters.unknown_share
-    layers = [layer.indices for layer in occupancy.layers]
-    passed = motion.between if motion is not None else ()
+        unknown = Bits.of_mask(grid.dims, decode_runs(occupancy.unknown_runs, grid.size))
+        hidden = Hidden(reachable=unknown, maybe_full=Bits.none(grid.dims))
+    maybe_full, reachable = (Share(of, parameters.unknown_share) for of in (hidden.maybe_full, hidden.reachable))
+    throughout = (stamps[0], stamps[-1])
     batches = [
-        _Batch(ObstacleKind.MOVING, interval, *valid, grid, parameters.most_moving, (first, _joined(second, between)))
-        for interval, (valid, (first, second), between) in enumerate(
-            zip(pairwise(stamps), pairwise(layers), passed or (None,) * (len(layers) - 1), strict=True)
-        )
-    ]
-    if sighted is not None and any(len(indices) for indices in layers):
-        at, most = (occupancy.stamp, occupancy.stamp), (parameters.most_seen, parameters.most_moving)
-        batches += [
-            _Batch(ObstacleKind.MOVING, interval, *at, sighted.grid, few, spreading.voxels, spreading)
-            for interval, few, spreading in zip(_AS_SEEN, most, (sighted.likely, sighted.rims), strict=True)
-        ]
-    maybe_full, reachable = Share(hidden.maybe_full, share), Share(hidden.reachable, share)
-    batches += [
+        *_foreseen(occupancy, parameters.most_moving, () if motion is None else motion.between),
+        *(() if sighted is None else _seen(occupancy, parameters, sighted)),
         _Batch(ObstacleKind.STATIC, 0, *throughout, grid, parameters.most_static, (occupancy.static.indices,)),
         _Batch(ObstacleKind.UNSEEN, 0, *throughout, grid, parameters.most_unknown, maybe_full),
         _Batch(ObstacleKind.UNKNOWN, 0, *throughout, grid, parameters.most_unknown, reachable),
@@ -144,6 +131,33 @@ def cover(
     before = np.zeros(0, np.uint32) if previous is None else previous.ids
     found = covers([batch.wanted for batch in batches], before)
     return _obstacles(occupancy.stamp, batches, found, motion, 0.0 if sighted is None else sighted.since_s)
+
+
+def _stamps(occupancy: Occupancy) -> list[int]:
+    """When each layer is valid, ns."""
+    return [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
+
+
+def _foreseen(occupancy: Occupancy, most: int, between: tuple[NDArray[np.int64], ...]) -> list[_Batch]:
+    """From each layer to the next: the voxels of both, and those that are passed `between` them, if any is."""
+    layers = [layer.indices for layer in occupancy.layers]
+    passed = between or (None,) * (len(layers) - 1)
+    intervals = zip(pairwise(_stamps(occupancy)), pairwise(layers), passed, strict=True)
+    return [
+        _Batch(ObstacleKind.MOVING, number, *valid, occupancy.grid, most, (first, _joined(second, more)))
+        for number, (valid, (first, second), more) in enumerate(intervals)
+    ]
+
+
+def _seen(occupancy: Occupancy, parameters: CoverParameters, sighted: Sighted) -> list[_Batch]:
+    """What moved where it was seen, and its rims; nothing where nothing is forecast of it."""
+    if not any(len(layer.indices) for layer in occupancy.layers):
+        return []
+    at, most = (occupancy.stamp, occupancy.stamp), (parameters.most_seen, parameters.most_moving)
+    return [
+        _Batch(ObstacleKind.MOVING, interval, *at, sighted.grid, few, spreading.voxels, spreading)
+        for interval, few, spreading in zip(_AS_SEEN, most, (sighted.likely, sighted.rims), strict=True)
+    ]
 
 
 def _joined(layer: UInt32, more: NDArray[np.int64] | None) -> NDArray[np.integer]:

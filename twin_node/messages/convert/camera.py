@@ -58,28 +58,13 @@ def rig_camera(
     unknown distortion model or a wrong number of coefficients.
     """
     K = _projection(info, name) if is_rectified else np.array(info.k, dtype=np.float64).reshape(3, 3)
-    if not (0 < info.width <= MOST_PIXELS and 0 < info.height <= MOST_PIXELS):
-        raise MessageError(
-            f"camera {name}: CameraInfo says that images are {info.width}x{info.height}; correct it, or give a rig file"
-        )
+    width, height = _sent_size(info, name)
     if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
         raise MessageError(
             f"camera {name}: CameraInfo holds no calibration (fx = {K[0, 0]:g}, fy = {K[1, 1]:g}); calibrate the "
             "camera or give a rig file"
         )
-    width = int(info.roi.width or info.width)
-    height = int(info.roi.height or info.height)
-    if width > info.width or height > info.height:
-        raise MessageError(
-            f"camera {name}: CameraInfo says that images show a region of {width}x{height} of "
-            f"{info.width}x{info.height} pixels; correct its roi, or give a rig file"
-        )
-    bins = np.array([max(info.binning_x, 1), max(info.binning_y, 1)], dtype=np.float64)
-    if bins[0] > width or bins[1] > height:
-        raise MessageError(
-            f"camera {name}: CameraInfo says that {bins[0]:g}x{bins[1]:g} pixels of {width}x{height} make one; correct "
-            "its binning, or give a rig file"
-        )
+    bins = _bins(info)
     K[:2, 2] -= [info.roi.x_offset, info.roi.y_offset]
     K[:2, :2] /= bins[:, None]
     K[:2, 2] = (K[:2, 2] + 0.5) / bins - 0.5
@@ -90,14 +75,40 @@ def rig_camera(
         D = _coefficients(name, model, np.array(info.d, dtype=np.float64))
     return RigCamera(
         name=name,
-        width=width // int(bins[0]),
-        height=height // int(bins[1]),
+        width=width,
+        height=height,
         K=K,
         T_base_cam=np.array(T_base_cam, dtype=np.float64),
         distortion_model=model,
         D=D,
         sigma_m=sigma_m,
     )
+
+
+def _bins(info: Message) -> Float64:
+    """[2] pixels across and down that make one of the image."""
+    return np.array([max(info.binning_x, 1), max(info.binning_y, 1)], dtype=np.float64)
+
+
+def _sent_size(info: Message, name: str) -> tuple[int, int]:
+    """Width and height of the images as sent: of a region of the sensor's, binned."""
+    if not (0 < info.width <= MOST_PIXELS and 0 < info.height <= MOST_PIXELS):
+        raise MessageError(
+            f"camera {name}: CameraInfo says that images are {info.width}x{info.height}; correct it, or give a rig file"
+        )
+    width, height = int(info.roi.width or info.width), int(info.roi.height or info.height)
+    if width > info.width or height > info.height:
+        raise MessageError(
+            f"camera {name}: CameraInfo says that images show a region of {width}x{height} of "
+            f"{info.width}x{info.height} pixels; correct its roi, or give a rig file"
+        )
+    across, down = _bins(info).astype(int).tolist()
+    if across > width or down > height:
+        raise MessageError(
+            f"camera {name}: CameraInfo says that {across}x{down} pixels of {width}x{height} make one; correct its "
+            "binning, or give a rig file"
+        )
+    return width // across, height // down
 
 
 def _projection(info: Message, name: str) -> Float64:
