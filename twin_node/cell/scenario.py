@@ -117,15 +117,9 @@ class Person:
     hand: Path = field(default_factory=Path)
     """The middle of the right hand; held at the arm's length where it is out of reach."""
     height_m: float = 1.75
-    shirt: Texture = field(
-        default_factory=lambda: Texture(pattern="checker", color=(60, 80, 160), color2=(220, 220, 230), scale_m=0.06)
-    )
-    skin: Texture = field(
-        default_factory=lambda: Texture(pattern="speckle", color=(205, 150, 120), color2=(165, 105, 80), scale_m=0.04)
-    )
-    trousers: Texture = field(
-        default_factory=lambda: Texture(pattern="stripes", color=(50, 50, 60), color2=(80, 80, 95), scale_m=0.08)
-    )
+    shirt: Texture = SHIRT
+    skin: Texture = SKIN
+    trousers: Texture = TROUSERS
 
     def __post_init__(self) -> None:
         check_ranges(self, CellError, f"person '{self.name}': ", height_m=Range(0.3, 3))
@@ -251,9 +245,7 @@ class ArmSpec:
     """How fast its program runs."""
     joint_rate_hz: float = 125.0
     """Rate of the joint states (a UR e-series controller allows up to 500 Hz)."""
-    texture: Texture = field(
-        default_factory=lambda: Texture(pattern="stripes", color=(200, 205, 210), color2=(95, 130, 170), scale_m=0.12)
-    )
+    texture: Texture = ARM_PAINT
 
     def __post_init__(self) -> None:
         if self.workspace is not None:
