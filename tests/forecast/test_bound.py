@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.forecast.bound import CUES, Bound, BoundParameters, CoverageControl, CueLengths, cues
+from twin_node.forecast.bound import CUES, LARGEST_RADIUS, Bound, BoundParameters, CoverageControl, CueLengths, cues
 
 PERIOD = 1 / 30
 HORIZON = 0.2
@@ -117,7 +117,7 @@ def test_however_long_nothing_is_missed_no_more_may_be_missed_than_five_times_th
 def test_no_radius_exceeds_the_largest() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 5.0))
-    assert np.all(bound.radii(like(np.full(5, 5.0)), np.ones(5), HORIZON) <= bound.parameters.largest_radius)
+    assert np.all(bound.radii(like(np.full(5, 5.0)), np.ones(5), HORIZON) <= LARGEST_RADIUS)
 
 
 def test_nothing_to_judge_changes_nothing() -> None:

@@ -9,7 +9,7 @@ import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, rays, state_of
 
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError, cover
-from twin_node.forecast.bound import BoundParameters
+from twin_node.forecast.bound import FIRST_FACTOR, LARGEST_RADIUS
 from twin_node.forecast.grid import decode_runs
 from twin_node.scene import HORIZONS_NS, GaussianCloud, Grid, Occupancy, Tier, TwinState
 
@@ -138,7 +138,7 @@ def test_what_nobody_saw_when_a_forecast_was_made_is_no_miss_of_its_bound() -> N
         state = state_of(stamp, None if tick < 10 else place(stamp), RADIUS)
         forecaster.update(state, state.stamp + LATENCY_NS)
     assert np.isnan(forecaster.quality.coverage)
-    assert forecaster.quality.factor == BoundParameters().first_factor
+    assert forecaster.quality.factor == FIRST_FACTOR
 
 
 def test_quality_tells_coverage_against_target() -> None:
@@ -245,12 +245,11 @@ def test_what_is_no_longer_finite_is_forecast_as_the_worst_case_and_said() -> No
 def test_no_radius_exceeds_the_largest_however_much_was_missed() -> None:
     """A ball that appears time and again where nobody foresaw it drives the common factor up."""
     forecaster = Forecaster(GRID)
-    bound = forecaster.parameters.bound
     for number in range(40):
         side = 0.35 if number // 8 % 2 else -0.35
         found = forecaster.update(state_of(number * 33_000_000, np.array([side, 0.0, 0.45])), number * 33_000_000)
     radii = found.motion.radii
-    assert radii.size and radii.max() <= bound.largest_radius + 1e-9
+    assert radii.size and radii.max() <= LARGEST_RADIUS + 1e-9
 
 
 def test_what_comes_after_a_pause_is_new_though_something_was_forecast_there_before() -> None:

@@ -11,11 +11,22 @@ import numpy as np
 from twin_node.forecast.error_scale import Came, Scale, regress
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.past_errors import PastErrors
-from twin_node.ranges import NOT_NEGATIVE, POSITIVE, Range, check_ranges
+from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.scene import Bool, Float64
 
 PERSON_SPEED = 1.6
 """Speed of approach of a person, m/s (ISO 13855)."""
+
+MEMORY_S = 2.0
+"""Time constant in which old errors lose their say, s: a gesture or two."""
+FIRST_FACTOR = 0.55
+"""Common factor before there is a record: parts of a hull of silhouettes hold more than what moves."""
+LEAST_FACTOR, MOST_FACTOR = 0.05, 3.0
+"""Of the common factor: below the former the radii are those of voxels, whatever they are multiplied by."""
+RELIEF = 2.0
+"""Time constant in which the factor returns to its level when nothing is missed, in horizons."""
+LARGEST_RADIUS = 0.8
+"""No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""
 
 CUES = 7
 """Cues of a node's error scale, `cues`: one constant and six logarithms of lengths."""
@@ -29,8 +40,6 @@ class BoundParameters:
     """Share of the moving space, and of the nodes, that the forecast made for it must hold."""
     acceleration: float = 6.0
     """Largest acceleration taken into account before there is a record, m/s^2: a hand starting a reach, or gravity."""
-    memory_s: float = 2.0
-    """Time constant in which old errors lose their say, s: a gesture or two."""
     correction: float = 0.02
     """How fast the miss rate aimed at follows what was missed, per second (Gibbs and Candes 2021)."""
     follow: float = 2.0
@@ -39,16 +48,6 @@ class BoundParameters:
     surprise: float = 2.5
     """A miss asks at once for a factor so much larger, relative and per unit of coverage missed, than the one that the
     forecast was made with."""
-    relief: float = 2.0
-    """Time constant in which the factor returns to its level when nothing is missed, in horizons."""
-    first_factor: float = 0.55
-    """Common factor before there is a record: parts of a hull of silhouettes hold more than what moves."""
-    least_factor: float = 0.05
-    """Smallest common factor: below it the radii are those of voxels, whatever they are multiplied by."""
-    most_factor: float = 3.0
-    """Largest common factor."""
-    largest_radius: float = 0.8
-    """No radius exceeds this at the last horizon, m: 99 % of human motion stays within half of it in 200 ms."""
 
     def __post_init__(self) -> None:
         """Raises `ForecastError` for a number that is none of its kind."""
@@ -58,16 +57,10 @@ class BoundParameters:
             "forecast: bound.",
             coverage=Range(0.5, 0.9999),
             acceleration=NOT_NEGATIVE,
-            memory_s=POSITIVE,
             correction=NOT_NEGATIVE,
             follow=NOT_NEGATIVE,
             surprise=NOT_NEGATIVE,
-            relief=POSITIVE,
-            first_factor=POSITIVE,
-            most_factor=POSITIVE,
-            largest_radius=POSITIVE,
         )
-        check_ranges(self, ForecastError, "forecast: bound.", least_factor=Range(0, self.most_factor, above=True))
 
 
 @dataclass(frozen=True)
@@ -118,7 +111,7 @@ class Bound:
     def __init__(self, parameters: BoundParameters | None = None) -> None:
         self.parameters = parameters or BoundParameters()
         self._scale = Scale.before_errors()
-        self._past = PastErrors(CUES, self.parameters.memory_s)
+        self._past = PastErrors(CUES, MEMORY_S)
         self._miss_level = 1 - self.parameters.coverage
         self._seen_s = 0.0
         self.quantile = _FIRST_QUANTILE
@@ -147,7 +140,7 @@ class Bound:
 
     def _learn(self, time: float, then: Float64, errors: Float64, radii: Float64, elapsed_s: float) -> None:
         """Enters errors [n] of nodes with cues `then` [n, CUES] in the regression, and an even sample in the pool."""
-        kept = float(np.exp(-elapsed_s / self.parameters.memory_s))
+        kept = float(np.exp(-elapsed_s / MEMORY_S))
         regress(self._scale, Came(then, np.log(errors + LEAST), kept, 2 * elapsed_s / _STEP_S / len(errors)))
         some = slice(None, None, -(-len(errors) // _SAMPLE))
         logs = np.log(np.clip(errors[some], 1e-6, _SURPRISE * radii[some]))
@@ -180,7 +173,7 @@ class Bound:
         calibrated = factor * self.quantile * expected.scales
         reachable = self.reachable(horizon_s, stale_s) + expected.spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))
-        return np.minimum(radii, self.parameters.largest_radius)
+        return np.minimum(radii, LARGEST_RADIUS)
 
     def reachable(self, horizon_s: float, stale_s: float = 0.0) -> float:
         """How far the largest acceleration takes a node from where its velocity of `stale_s` ago leads, m."""
@@ -198,7 +191,7 @@ class CoverageControl:
 
     def __init__(self, parameters: BoundParameters) -> None:
         self.parameters = parameters
-        self.factor = self._level = parameters.first_factor
+        self.factor = self._level = FIRST_FACTOR
         self._covered: deque[float] = deque(maxlen=120)
 
     @property
@@ -218,11 +211,11 @@ class CoverageControl:
         missed, elapsed = p.coverage - (p.coverage if steady is None else steady), min(elapsed, 1.0)
         self._level = self._clipped(self._level * np.exp(p.follow * missed * elapsed))
         needed = then * np.exp(p.surprise * missed) if missed > 0 else 0.0
-        relieved = self._level + (self.factor - self._level) * np.exp(-elapsed / p.relief)
+        relieved = self._level + (self.factor - self._level) * np.exp(-elapsed / RELIEF)
         self.factor = self._clipped(max(self._level, relieved, needed))
 
     def _clipped(self, factor: float) -> float:
-        return float(np.clip(factor, self.parameters.least_factor, self.parameters.most_factor))
+        return float(np.clip(factor, LEAST_FACTOR, MOST_FACTOR))
 
 
 _STEP_S = 1 / 30

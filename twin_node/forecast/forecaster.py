@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.ahead import Ahead, layers_of
-from twin_node.forecast.bound import PERSON_SPEED, BoundParameters, CoverageControl
+from twin_node.forecast.bound import LARGEST_RADIUS, PERSON_SPEED, BoundParameters, CoverageControl
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.hiding import Hidden
@@ -142,7 +142,7 @@ class Forecaster:
         places = self._tracks.positions[-1] + self._predictor.alone
         prediction = self._predict(horizons)
         may_start = evidence.resting if self._had_depth(state.stamp, RESTING_S) else np.zeros(0, np.int64)
-        started = np.minimum(start_radii(horizons), self.parameters.bound.largest_radius)
+        started = np.minimum(start_radii(horizons), LARGEST_RADIUS)
         layers = self._layers(evidence, prediction, may_start, started)
         seen = sighted(self._observer.grid, evidence.parts, may_start, prediction, started, horizons)
         motion = self._motion(evidence, prediction)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.forecast.bound import Bound, BoundParameters, Expected
+from twin_node.forecast.bound import LARGEST_RADIUS, MEMORY_S, Bound, BoundParameters, Expected
 from twin_node.forecast.experts import EXPERT_NAMES, KNOTS, PARABOLA_S, Autoregression, History
 from twin_node.forecast.leading import Guides, Led, led
 from twin_node.forecast.measured import Measured
@@ -188,7 +188,7 @@ class Predictor:
         for places in (mixed, accelerated):  # else what is about to bounce would be forecast below the grid
             places[..., 2] = np.maximum(places[..., 2], left)
         radii = self._within(horizons, factor)
-        swerves = swerves_of(mixed, radii, accelerated, _SWERVE * self.bound.parameters.largest_radius)
+        swerves = swerves_of(mixed, radii, accelerated, _SWERVE * LARGEST_RADIUS)
         return Prediction(mixed, radii, self._turning, Swerves(swerves.displacements, swerves.held & self._swerving))
 
     def _within(self, horizons: Float64, factor: float) -> Float64:
@@ -278,7 +278,7 @@ class Predictor:
         if not due:
             return
         ledger = Ledger(self._records, self._profile, self.autoregression)
-        manner = Manner(self.bound.parameters.memory_s, self._turns)
+        manner = Manner(MEMORY_S, self._turns)
         for one, found in zip(due, reckon(due, self._history, ledger, manner), strict=True):
             if one.knot == len(KNOTS) - 1:
                 cues, radii = one.issued.cues[found.rows], one.issued.radii[found.rows]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast import measured
-from twin_node.forecast.bound import PERSON_SPEED, Bound, Expected
+from twin_node.forecast.bound import LARGEST_RADIUS, PERSON_SPEED, Bound, Expected
 from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.measured import Measured
 from twin_node.forecast.part_requests import ReachRequest
@@ -85,7 +85,7 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
     given = [None if array is None else np.ascontiguousarray(array) for array in (*by_time, *by_node, *velocities)]
     sizes = (radii.shape[1], len(horizons), span.capped)
     times = (known.now, last, known.horizon_s, WARY * last)
-    lengths = (factor * bound.quantile, bound.reachable(last, known.stale_s), bound.parameters.largest_radius)
+    lengths = (factor * bound.quantile, bound.reachable(last, known.stale_s), LARGEST_RADIUS)
     compiled.run(
         ReachRequest(
             *sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), *measured.RATES, *addresses_of(*given, radii)
@@ -97,7 +97,7 @@ def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, sp
 def reaches_reference(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
     """What `reaches` does."""
     horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
-    ages, largest = known.now - known.began, bound.parameters.largest_radius
+    ages, largest = known.now - known.began, LARGEST_RADIUS
     reachable = bound.reachable(last, known.stale_s)
     radii = bound.radii_of(known.expected, ages, last, factor, known.stale_s)
     wary = known.now - known.turned < WARY * last
