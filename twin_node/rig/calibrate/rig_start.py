@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import BundleState, Sighting
-from twin_node.rig.calibrate.course import smooth_course, still_course
+from twin_node.rig.calibrate.course import Course, smooth_course, still_course
 from twin_node.rig.calibrate.intrinsics import usable
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.calibrate.pose_graph import PoseGraph, board_pose, build_pose_graph
@@ -106,29 +106,46 @@ def start_of(
     graph = build_pose_graph(lenses, board.points, sets)
     _check_connected(graph, [camera.name for camera in cameras], len(chosen))
     T_rig_cam = np.stack([graph.T_rig_cam[i] for i in range(len(cameras))])
-    clocks, readouts = np.zeros((len(cameras), 2)), np.zeros(len(cameras))
-    if not all(camera.moving for camera in cameras):
+    if all(camera.moving for camera in cameras):
+        step_s = max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
+        windows = _windows(first_look, len(cameras), stamps)
+        if wanted_ns is not None:
+            windows.add(int((wanted_ns - origin) / 1e9 // WINDOW_S))
+        seen = _in_stretches([*_images(board, cameras, origin, windows, step_s)], step_s)
+        course = _moving_course(board, lenses, T_rig_cam, seen.sightings, step_s)
+        clocks_hold_at_s = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
+    else:
+        seen = _Seen(tuple(sets), tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets))
         course = still_course(np.stack([graph.T_rig_board[i] for i in range(len(chosen))]))
-        names = tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets)
-        delays = np.zeros(len(sets))
-        state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts, delays)
-        return Start(state, tuple(sets), names, origin)
-    step_s = max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
-    windows = _windows(first_look, len(cameras), stamps)
-    if wanted_ns is not None:
-        windows.add(int((wanted_ns - origin) / 1e9 // WINDOW_S))
-    seen = _in_stretches([*_images(board, cameras, origin, windows, step_s)], step_s)
-    poses = [board_pose(lenses[s.camera], board.points[s.corners.ids], s.corners.pixels) for s in seen.sightings]
+        clocks_hold_at_s = 0.0
+    state = BundleState(
+        T_cam_rig=inverse_pose(T_rig_cam),
+        course=course,
+        lenses=tuple(lenses),
+        points=board.points,
+        clocks=np.zeros((len(cameras), 2)),
+        readouts=np.zeros(len(cameras)),
+        delays=np.zeros(len(seen.sightings)),
+        reference_s=clocks_hold_at_s,
+    )
+    return Start(state, seen.sightings, seen.names, origin)
+
+
+def _moving_course(
+    board: Board,
+    lenses: Sequence[Lens],
+    T_rig_cam: NDArray[np.float64],
+    sightings: Sequence[Sighting],
+    step_s: float,
+) -> Course:
+    """The board's, near where each image alone has it."""
+    poses = [board_pose(lenses[s.camera], board.points[s.corners.ids], s.corners.pixels) for s in sightings]
     times, places = [], []
-    for stretch in range(seen.sightings[-1].board + 1):
-        own = [(s, T) for s, T in zip(seen.sightings, poses, strict=True) if s.board == stretch and T is not None]
+    for stretch in range(sightings[-1].board + 1):
+        own = [(s, T) for s, T in zip(sightings, poses, strict=True) if s.board == stretch and T is not None]
         times.append(np.array([s.time_s for s, _ in own]))
         places.append(np.stack([T_rig_cam[s.camera] @ T for s, T in own]))
-    course = smooth_course(times, places, step_s)
-    middle = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
-    delays = np.zeros(len(seen.sightings))
-    state = BundleState(inverse_pose(T_rig_cam), course, tuple(lenses), board.points, clocks, readouts, delays, middle)
-    return Start(state, seen.sightings, seen.names, origin)
+    return smooth_course(times, places, step_s)
 
 
 def _check_connected(graph: PoseGraph, names: Sequence[str], boards: int) -> None:
