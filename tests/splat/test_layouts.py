@@ -44,7 +44,6 @@ def drawn() -> dict[str, Tensor]:
 
 
 SHOT = {**drawn(), "rgb": torch.rand(COUNT, 3), "viewmat": torch.eye(4), "K": INTRINSICS}
-WEIGHED = {**drawn(), "viewmat": torch.eye(4), "K": INTRINSICS}
 GAUSSIANS = {**drawn(), "rgb": torch.rand(COUNT, 3), "learners": torch.ones(COUNT, dtype=torch.bool)}
 SIGHT = {
     "viewmat": torch.eye(4),
@@ -106,13 +105,13 @@ def descended(**given: Tensor) -> None:
 
 CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
     "still": (lambda **given: draw_still(Shot(**{**SHOT, **given}, width=WIDTH, height=HEIGHT)), SHOT),
-    "weigh": (lambda **given: weigh(**{**WEIGHED, **given}, width=WIDTH, height=HEIGHT), WEIGHED),
+    "weigh": (lambda **given: weigh(Shot(**{**SHOT, **given}, width=WIDTH, height=HEIGHT)), SHOT),
     "place": (lambda **given: place(**{**PLACED, **given}), PLACED),
     "missed": (add_missed, {**GAUSSIANS, **{f"sight_{name}": of for name, of in SIGHT.items()}}),
     "descend": (descended, {**LEARNERS, **BYSTANDERS, **AIMS}),
 }
 CASES = [(call, name) for call, (_, given) in CALLS.items() for name in given]
-CONVERTED = {"still": set(SHOT), "weigh": set(WEIGHED), "place": {"values", "positions", "quats"}}
+CONVERTED = {"still": set(SHOT), "weigh": set(SHOT), "place": {"values", "positions", "quats"}}
 """What each call itself makes the kind of number that it takes."""
 
 

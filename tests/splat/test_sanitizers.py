@@ -14,7 +14,7 @@ from pathlib import Path
 from twin_node.splat import library as native
 library = native.SplatLibrary(Path(sys.argv[1]))
 native.kernels = lambda: library
-import test_layouts, test_loss, test_missed, test_native, test_weighing
+import test_layouts, test_loss, test_missed, test_native, test_still
 from splat_scenes import differentiate
 from twin_node.splat import rasterize
 for name in ("degree 3, expected depth", "nineteen channels", "mask", "huge", "flat and long", "tiny, antialiased"):
@@ -31,7 +31,7 @@ for with_depth in (False, True):
 for call in test_layouts.CALLS:
     test_layouts.test_what_fits_is_taken(call)
 for camera in (0, 1):
-    test_weighing.test_agrees_with_the_plain_one(camera, library)
+    test_still.test_weights_agree_with_the_plain_ones(camera, library)
 print("clean")
 """
 

@@ -18,6 +18,7 @@ from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians
 from twin_node.model.plane import Plane
 from twin_node.model.points import find_pixels, has_points
 from twin_node.model.rays import Seen, look, pixel_rays
+from twin_node.model.rendering import shot_of
 from twin_node.model.sweep import Shell
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 from twin_node.side_thread import SideThread, Task
@@ -234,13 +235,11 @@ class Backgrounds:
 
 def _drawn(values: Tensor, behind: _Behind) -> _Shown:
     """What a camera sees of STATIC Gaussians with the attributes `values` [n, 14]."""
-    device, camera, seen = values.device, behind.camera, Gaussians.standing(values)
-    viewmat, K = (torch.from_numpy(of).to(device, torch.float32) for of in (camera.viewmat, camera.K))
-    gaussians = (seen.means[0], seen.quats[0], seen.scales, seen.opacities, seen.rgb)
-    drawn, opaque = splat.draw_still(splat.Shot(*gaussians, viewmat, K, camera.width, camera.height))
+    camera = behind.camera
+    drawn, opaque = splat.draw_still(shot_of(Gaussians.standing(values), camera))
     rgbd, alpha = drawn.cpu().numpy(), opaque.cpu().numpy()
     rgb, depth = np.ascontiguousarray(rgbd[..., :3]), np.where(alpha > 0.5, rgbd[..., 3], behind.surface)
-    backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(device)
+    backdrop = torch.from_numpy(np.concatenate([rgb, depth[..., None]], -1, dtype=np.float32)).to(values.device)
     return _Shown(rgb, depth, alpha, backdrop, behind.surface, behind.rays, margin_px(camera, depth))
 
 

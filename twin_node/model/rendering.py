@@ -32,6 +32,13 @@ class Splats:
     """[N, 3] 0 to 1."""
 
 
+def shot_of(splats: Splats, camera: Camera) -> splat.Shot:
+    """`splats`, all at one time, before a camera."""
+    viewmat, K = (torch.from_numpy(of).to(splats.means.device, torch.float32) for of in (camera.viewmat, camera.K))
+    gaussians = (splats.means[0], splats.quats[0], splats.scales, splats.opacities, splats.rgb)
+    return splat.Shot(*gaussians, viewmat, K, camera.width, camera.height)
+
+
 @dataclass(frozen=True)
 class Rendering:
     """What one camera sees."""

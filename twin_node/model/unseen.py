@@ -9,7 +9,7 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.rendering import Splats
+from twin_node.model.rendering import Splats, shot_of
 from twin_node.scene import Camera
 
 
@@ -73,14 +73,4 @@ class Unseen:
 
 def blend_weights(splats: Splats, camera: Camera) -> Tensor:
     """[n] how much of `splats`, all at one time, a camera sees, pixels: their blend weights, summed over the image."""
-    device = splats.means.device
-    return splat.weigh(
-        splats.means[0],
-        splats.quats[0],
-        splats.scales,
-        splats.opacities,
-        torch.from_numpy(camera.viewmat).to(device, torch.float32),
-        torch.from_numpy(camera.K).to(device, torch.float32),
-        camera.width,
-        camera.height,
-    )
+    return splat.weigh(shot_of(splats, camera))

@@ -8,8 +8,7 @@ from twin_node.splat.first_calls import settle
 from twin_node.splat.loss import image_loss, image_loss_reference
 from twin_node.splat.missed import Missed, MissedReference, Pull, Sight, Tolerance, can_miss
 from twin_node.splat.placing import Placed, can_place, place
-from twin_node.splat.still import Shot, draw_still, draw_still_reference
-from twin_node.splat.weighing import weigh, weigh_reference
+from twin_node.splat.still import Shot, draw_still, draw_still_reference, weigh, weigh_reference
 
 __all__ = [
     "Aims",

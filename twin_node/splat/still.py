@@ -1,7 +1,8 @@
-"""One image of Gaussians, by one call of the compiled library: what `rasterize` draws, with little around it."""
+"""What one camera sees of Gaussians, by one call of the compiled library: an image, or how much each of them shows."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +12,7 @@ from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import Options, non_finite, require_layout
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.request import new_request
+from twin_node.splat.request import Field, new_request
 
 _OPTIONS = Options(render_mode="RGB+ED")
 _FIELDS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
@@ -46,37 +47,19 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     Colour is 0 to 1, on black; depth is that expected along the optical axis, m, 0 where nothing is.
     Raises `ValueError` naming what is of another shape or not finite.
     """
-    library = native.kernels()
-    if library is None or shot.means.device.type != "cpu":
+    library = _kernels(shot)
+    if library is None:
         return draw_still_reference(shot)
-    tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
-    given = [of.detach().float().contiguous() for of in tensors.values()]
-    count, width, height = len(shot.means), shot.width, shot.height
-    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (4, 4), (3, 3))
-    for name, of, shape in zip(tensors, given, shapes, strict=True):
-        require_layout(name, of, shape, torch.float32)
-    rgbd, alpha = torch.empty(height, width, 4), torch.empty(height, width)
-    radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
-    request = new_request(
+    rgbd, alpha = torch.empty(shot.height, shot.width, 4), torch.empty(shot.height, shot.width)
+    workspace = native.Workspace(library)
+    _do(
+        lambda request: library.forward(workspace, request),
+        shot,
         _OPTIONS,
-        batches=1,
-        cameras=1,
-        gaussians=count,
-        width=width,
-        height=height,
-        color_channels=3,
-        threads=thread_count(),
-        **dict(zip(_FIELDS, given, strict=True)),
         renders=rgbd,
         alphas=alpha,
-        radii=radii,
-        means2d=means2d,
-        depths=depths,
+        color_channels=3,
     )
-    try:
-        library.forward(native.Workspace(library), request)
-    except native.NonFiniteError as error:
-        raise non_finite(list(tensors)[error.index], given[error.index]) from None
     return rgbd, alpha
 
 
@@ -88,3 +71,60 @@ def draw_still_reference(shot: Shot) -> tuple[Tensor, Tensor]:
     with torch.no_grad():
         (seen,), (alpha,), _ = rasterize(*given.values(), render_mode=_OPTIONS.render_mode)
     return seen, alpha[..., 0]
+
+
+def weigh(shot: Shot) -> Tensor:
+    """[n] blend weights of the Gaussians, summed over the pixels: how much of each shows; nothing is differentiated.
+
+    Raises `ValueError` naming what is of another shape, or not finite of what tells where they show.
+    """
+    library = _kernels(shot)
+    if library is None:
+        return weigh_reference(shot)
+    workspace, weights = native.Workspace(library), torch.empty(len(shot.means))
+    _do(lambda request: library.weigh(workspace, request, weights.data_ptr()), shot, Options())
+    return weights
+
+
+def weigh_reference(shot: Shot) -> Tensor:
+    """The same by `rasterize`, on any device, as the gradient of a feature that is zero everywhere."""
+    if not len(shot.means):
+        return shot.means.new_zeros(0)
+    nothing = torch.zeros(len(shot.means), 1, device=shot.means.device, requires_grad=True)
+    given = {**vars(shot), "rgb": nothing, "viewmat": shot.viewmat[None], "K": shot.K[None]}
+    shown, _, _ = rasterize(*given.values())
+    (weights,) = torch.autograd.grad(shown.sum(), nothing)
+    return weights[:, 0]
+
+
+def _kernels(shot: Shot) -> native.SplatLibrary | None:
+    return native.kernels() if shot.means.device.type == "cpu" else None
+
+
+def _do(work: Callable[[native.Request], None], shot: Shot, options: Options, **fields: Field) -> None:
+    """One call of the compiled library; `fields` are those of the request that a shot does not give."""
+    tensors = {name: of for name, of in vars(shot).items() if isinstance(of, Tensor)}
+    given = [of.detach().float().contiguous() for of in tensors.values()]
+    count = len(shot.means)
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (4, 4), (3, 3))
+    for name, of, shape in zip(tensors, given, shapes, strict=True):
+        require_layout(name, of, shape, torch.float32)
+    radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+    request = new_request(
+        options,
+        batches=1,
+        cameras=1,
+        gaussians=count,
+        width=shot.width,
+        height=shot.height,
+        threads=thread_count(),
+        **dict(zip(_FIELDS, given, strict=True)),
+        radii=radii,
+        means2d=means2d,
+        depths=depths,
+        **fields,
+    )
+    try:
+        work(request)
+    except native.NonFiniteError as error:
+        raise non_finite(list(tensors)[error.index], given[error.index]) from None
