@@ -130,7 +130,7 @@ def test_more_pixels_take_fewer_steps(share: float, steps: int) -> None:
 )
 @pytest.mark.parametrize("rows_of_first", [48, 41])
 def test_fused_steps_are_those_of_torch(steps: int, decays: splat.Decays, rows_of_first: int) -> None:
-    if not splat.can_descend(CPU):
+    if not splat.has_kernels(CPU):
         pytest.skip("the compiled library is not at hand")
     views = frames(0, -0.1, CAMERAS, depth=True).views
     generator = torch.Generator().manual_seed(2)
@@ -174,7 +174,7 @@ def share_close(a: torch.Tensor, b: torch.Tensor, rtol: float, atol: float) -> f
 
 
 def test_fused_steps_that_are_not_finite_are_refused_alone() -> None:
-    if not splat.can_descend(CPU):
+    if not splat.has_kernels(CPU):
         pytest.skip("the compiled library is not at hand")
     store, views = stored(block(0.1)), frames(0, -0.1, CAMERAS).views
     store.moment2[3] = torch.nan

@@ -145,7 +145,7 @@ def test_a_gradient_reaches_canonical_means_and_the_field() -> None:
 
 
 def test_the_compiled_library_places_as_torch_does() -> None:
-    if not splat.can_place(torch.device("cpu")):
+    if not splat.has_kernels(torch.device("cpu")):
         pytest.skip("the compiled library is not at hand")
     store, motion = moving_world()
     store.board(torch.tensor([0, 1]), torch.zeros(2, dtype=torch.int64), motion.nodes)

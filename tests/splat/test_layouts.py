@@ -19,14 +19,14 @@ from twin_node.splat import (
     Shot,
     Sight,
     Tolerance,
-    can_descend,
     descend,
     draw_still,
+    has_kernels,
     place,
     weigh,
 )
 
-pytestmark = pytest.mark.skipif(not can_descend(torch.device("cpu")), reason="no compiled kernels here")
+pytestmark = pytest.mark.skipif(not has_kernels(torch.device("cpu")), reason="no compiled kernels here")
 COUNT, HEIGHT, WIDTH = 6, 9, 12
 INTRINSICS = torch.tensor([[12.0, 0, WIDTH / 2], [0, 12, HEIGHT / 2], [0, 0, 1]])
 Call = Callable[..., Any]

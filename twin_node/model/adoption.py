@@ -13,7 +13,7 @@ from torch import Tensor
 
 from twin_node.model.births import Births
 from twin_node.model.gaussians import LARGEST, Gaussians, Newborns
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels, kernels_for
 from twin_node.model.node_requests import GroupRequest, NearestRequest, NewbornRequest
 from twin_node.model.nodes import Nodes, Poses
 from twin_node.model.rotations import conjugate, rotate
@@ -182,8 +182,8 @@ def _found(centre: Tensor, members: Members, nodes: Nodes) -> int:
 
 def store(births: Births, adopted: Adopted, poses: Poses, nodes: Nodes, gaussians: Gaussians) -> Tensor:
     """Stores births as `as_newborns` says, as far as there is room; returns their rows."""
-    library = kernels()
-    if library is None or gaussians.values.device.type != "cpu":
+    library = kernels_for(gaussians.values.device)
+    if library is None:
         newborns = as_newborns(births, adopted, poses, nodes.tiers, gaussians.values.device)
         return gaussians.spawn(newborns, nodes.stamp)
     g, claimed = gaussians, gaussians.claim(len(births))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.model.node_requests import CarryRequest
 from twin_node.model.nodes import Poses
 from twin_node.model.rotations import left_product, rotation_matrix
@@ -73,8 +73,8 @@ class Carriage:
 
 def carry(poses: Poses, carriers: Tensor) -> Carriage:
     """The carriage of Gaussians whose nodes are `carriers` [n]; -1 stands still in `base_link`."""
-    library = kernels()
-    if library is None or carriers.device.type != "cpu":
+    library = kernels_for(carriers.device)
+    if library is None:
         return carry_reference(poses, carriers)
     times, nodes = poses.positions.shape[:2]
     turns, shifts, products = (torch.empty(times, nodes + 1, *shape) for shape in ((3, 3), (3,), (4, 4)))

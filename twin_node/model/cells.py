@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.gaussians import RGB, Gaussians
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.model.node_requests import CellRequest
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
@@ -68,8 +68,8 @@ class Cells:
 
 def cells_of(gaussians: Gaussians, rows: Tensor, means: Tensor) -> Cells:
     """The cells of Gaussians `rows` [m], all of which a node carries, at `means` [m, 3] (m) in `base_link`."""
-    library, count = kernels(), len(rows)
-    if library is None or gaussians.values.device.type != "cpu":
+    library, count = kernels_for(gaussians.values.device), len(rows)
+    if library is None:
         return cells_reference(gaussians, rows, means)
     keys, carriers, of = (np.empty(count, np.int64) for _ in range(3))
     centres, rgb, found = np.empty((count, 3)), np.empty((count, 3)), np.empty(1, np.int64)

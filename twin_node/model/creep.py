@@ -9,7 +9,7 @@ from torch import Tensor
 from twin_node.geometry import rotation_from_quat
 from twin_node.model.cells import Cells
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.model.node_requests import CreepRequest
 from twin_node.model.nodes import Nodes
 from twin_node.native_library import addresses_of
@@ -35,8 +35,8 @@ class Creep:
 
     def _crept(self, gaussians: Gaussians, rows: Tensor, cells: Cells, homes: NDArray[np.int64]) -> Float64:
         """[c, 3] m the same in the frames of the nodes, whose ids are `homes` [c]."""
-        library = kernels()
-        if library is None or gaussians.values.device.type != "cpu":
+        library = kernels_for(gaussians.values.device)
+        if library is None:
             return self._crept_reference(gaussians, rows, cells, homes)
         mean, of, at = np.empty((len(cells), 3)), np.ascontiguousarray(cells.of), rows.contiguous()
         arrays = (of, np.ascontiguousarray(homes), self._ids, self._homes, self._means, mean)

@@ -66,7 +66,7 @@ def undo(gaussians: Gaussians, rows: Tensor, values: Tensor) -> None:
 
 def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """`steps` steps, 1 or more, by the fastest way there is."""
-    if splat.can_descend(gaussians.values.device):
+    if splat.has_kernels(gaussians.values.device):
         return descend_fused(gaussians, path, steps)
     return descend_reference(gaussians, path, steps)
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 from twin_node import native_build
 from twin_node.model.kernel_requests import INTERFACE_VERSION
 from twin_node.model.parameters import ModelError
 from twin_node.native_library import NativeLibrary, best_or_none, load
+
+if TYPE_CHECKING:
+    import torch
 
 
 class Kernels(NativeLibrary):
@@ -25,3 +29,8 @@ def load_variant(variant: str) -> Kernels:
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
     return best_or_none(load_variant, "the model finds what moves in plain NumPy, ten times slower")
+
+
+def kernels_for(device: torch.device) -> Kernels | None:
+    """`kernels` for tensors on this device: None for those that are not on the CPU."""
+    return kernels() if device.type == "cpu" else None

@@ -17,7 +17,7 @@ from twin_node import splat
 from twin_node.model.chosen import rows_where
 from twin_node.model.gaussians import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, SMALLEST, Gaussians
 from twin_node.model.kernel_requests import DampedRequest
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.model.rendering import Splats
 from twin_node.scene import Bool, Camera, Float32, Tier
 
@@ -75,7 +75,7 @@ class Step:
     @cached_property
     def _missed(self) -> splat.Missed | splat.MissedReference:
         """What the views that were looked through miss of them."""
-        kind = splat.Missed if splat.can_miss(self._values.device) else splat.MissedReference
+        kind = splat.Missed if splat.has_kernels(self._values.device) else splat.MissedReference
         drawn = self._splats
         return kind(drawn.means[0], drawn.quats[0], drawn.scales, drawn.opacities, drawn.rgb, self._learners)
 
@@ -95,8 +95,9 @@ class Step:
 
     def take(self) -> None:
         """Takes the step towards all views that were looked through; what stands no longer takes none."""
-        library, g, missed, splats = kernels(), self._gaussians, self._missed, self._splats
-        if library is None or g.values.device.type != "cpu":
+        g, missed, splats = self._gaussians, self._missed, self._splats
+        library = kernels_for(g.values.device)
+        if library is None:
             self.take_reference()
             return
         refused = torch.zeros(1, dtype=torch.int64)

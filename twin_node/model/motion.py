@@ -53,7 +53,7 @@ class Motion:
 
     def place(self, gaussians: Gaussians, rows: Tensor, poses: Poses, stamps: list[int]) -> Splats:
         """Gaussians `rows` [n] in `base_link` at each of T times."""
-        if not self.bends and not torch.is_grad_enabled() and splat.can_place(gaussians.values.device):
+        if not self.bends and not torch.is_grad_enabled() and splat.has_kernels(gaussians.values.device):
             placed = splat.place(gaussians.values, gaussians.nodes, poses.positions, poses.quats, rows)
             return Splats(*vars(placed).values())
         return self.place_population(gaussians.population(rows, self.nodes), poses, stamps)
@@ -61,7 +61,7 @@ class Motion:
     def place_population(self, some: Population, poses: Poses, stamps: list[int]) -> Splats:
         """The same of Gaussians that need not be those stored."""
         bends = bool((some.tiers == int(Tier.DEFORMABLE)).any())
-        if not bends and not torch.is_grad_enabled() and splat.can_place(some.values.device):
+        if not bends and not torch.is_grad_enabled() and splat.has_kernels(some.values.device):
             placed = splat.place(some.values, some.carriers, poses.positions, poses.quats)
             return Splats(*vars(placed).values())
         return self.place_reference(some, poses, stamps)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.model.motion import Motion
 from twin_node.model.node_requests import ExtentRequest, PublishRequest
 from twin_node.model.nodes import Nodes, Poses
@@ -22,8 +22,9 @@ from twin_node.scene import GaussianCloud, NodeStates
 
 def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
-    rows, nodes, library = torch.cat([gaussians.static_rows, gaussians.other_rows]), motion.nodes, kernels()
-    if library is None or motion.bends or gaussians.values.device.type != "cpu":
+    rows, nodes = torch.cat([gaussians.static_rows, gaussians.other_rows]), motion.nodes
+    library = kernels_for(gaussians.values.device)
+    if library is None or motion.bends:
         return cloud_reference(gaussians, motion, rows)
     count = len(rows)
     cloud = GaussianCloud(
@@ -125,8 +126,8 @@ class Extents:
 
 def extents_of(gaussians: Gaussians, nodes: Nodes) -> Extents:
     """Of all nodes."""
-    library = kernels()
-    if library is None or gaussians.values.device.type != "cpu":
+    library = kernels_for(gaussians.values.device)
+    if library is None:
         return extents_reference(gaussians, nodes)
     rows, capacity = gaussians.moving_rows, nodes.capacity
     centroids, weights, radii = (torch.empty(capacity, width, dtype=torch.float64) for width in (3, 1, 1))

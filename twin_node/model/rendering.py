@@ -12,7 +12,7 @@ from torch import Tensor
 
 from twin_node import splat
 from twin_node.model.kernel_requests import BackdropRequest
-from twin_node.model.kernels import kernels
+from twin_node.model.kernels import kernels_for
 from twin_node.scene import Bool, Camera
 
 
@@ -179,8 +179,8 @@ def shoot(splats: Splats, shots: Shots) -> Sheet:
 
 def put_before(renders: Tensor, alphas: Tensor, backdrop: Tensor) -> Tensor:
     """[C, H, W, 4] `renders` with `alphas` [C, H, W, 1], drawn on nothing, before a `backdrop`; they are used up."""
-    library = kernels()
-    if library is None or renders.requires_grad or renders.device.type != "cpu":
+    library = kernels_for(renders.device)
+    if library is None or renders.requires_grad:
         return put_before_reference(renders, alphas, backdrop)
     held = (alphas.contiguous(), backdrop.contiguous(), renders)
     library.run(BackdropRequest(alphas.numel(), *(t.data_ptr() for t in held)))

@@ -1,13 +1,14 @@
 """Draws 3D Gaussians and differentiates the images: gsplat's semantics on a CPU, gsplat itself on CUDA."""
 
 from twin_node.splat.arguments import RasterMeta
-from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended, Learners, can_descend, descend
+from twin_node.splat.descent import Aims, Bystanders, Course, Decays, Descended, Learners, descend
 from twin_node.splat.dispatch import rasterize, rasterize_reference
 from twin_node.splat.errors import SplatError
 from twin_node.splat.first_calls import settle
+from twin_node.splat.library import has_kernels
 from twin_node.splat.loss import image_loss, image_loss_reference
-from twin_node.splat.missed import Missed, MissedReference, Pull, Sight, Tolerance, can_miss
-from twin_node.splat.placing import Placed, can_place, place
+from twin_node.splat.missed import Missed, MissedReference, Pull, Sight, Tolerance
+from twin_node.splat.placing import Placed, place
 from twin_node.splat.still import Shot, draw_still, draw_still_reference, weigh, weigh_reference
 
 __all__ = [
@@ -26,12 +27,10 @@ __all__ = [
     "Sight",
     "SplatError",
     "Tolerance",
-    "can_descend",
-    "can_miss",
-    "can_place",
     "descend",
     "draw_still",
     "draw_still_reference",
+    "has_kernels",
     "image_loss",
     "image_loss_reference",
     "place",

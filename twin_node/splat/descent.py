@@ -124,13 +124,13 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
     Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
     moments. Float32 tensors on the CPU.
     Raises `ValueError` naming a target that is not finite, what is of another shape or kind or, of what is brought up
-    to date, in pieces, for no steps, or where the library is not at hand (see `can_descend`).
+    to date, in pieces, for no steps, or where the library is not at hand (see `has_kernels`).
     """
     if course.steps < 1:
         raise ValueError(f"steps: expected 1 or more, found {course.steps}")
     library = native.kernels()
     if library is None:
-        raise ValueError("descend: the compiled library is not at hand; see can_descend")
+        raise ValueError("descend: the compiled library is not at hand; see has_kernels")
     call = _Call(learners, bystanders, aims)
     request = call.request(course)
     try:
@@ -142,11 +142,6 @@ def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Cour
     return Descended(
         call.seen, call.alphas, call.v_means[:, first:], call.v_quats[:, first:], int(call.refused), call.losses
     )
-
-
-def can_descend(device: torch.device) -> bool:
-    """Whether `descend` works for tensors on this device."""
-    return device.type == "cpu" and native.kernels() is not None
 
 
 class _Call:

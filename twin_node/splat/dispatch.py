@@ -111,8 +111,8 @@ def _render(scene: Scene) -> Rendered:
     if scene.gaussians.means.is_cuda:
         check_finite(scene)
         return render_gsplat(scene)
-    library = native.kernels()
-    if library is None or scene.gaussians.means.device.type != "cpu":
+    library = native.kernels_for(scene.gaussians.means.device)
+    if library is None:
         check_finite(scene)
         return render_reference(scene)
     return render_native(scene, library)

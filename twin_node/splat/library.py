@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from ctypes import c_float, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twin_node import native_build
 from twin_node.native_library import (
@@ -24,6 +25,9 @@ from twin_node.native_library import (
     thread_count,
 )
 from twin_node.splat.errors import SplatError
+
+if TYPE_CHECKING:
+    import torch
 
 INTERFACE_VERSION = 13
 STATUS_OK, STATUS_TOO_MANY_INTERSECTIONS, STATUS_BAD_FOCAL_LENGTH, STATUS_SINGULAR_VIEW = 0, 2, 3, 4
@@ -224,6 +228,16 @@ def load_variant(variant: str) -> SplatLibrary:
 def kernels() -> SplatLibrary | None:
     """The best library for this processor; None, with one warning, where there is none."""
     return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
+
+
+def kernels_for(device: torch.device) -> SplatLibrary | None:
+    """`kernels` for tensors on this device: None for those that are not on the CPU."""
+    return kernels() if device.type == "cpu" else None
+
+
+def has_kernels(device: torch.device) -> bool:
+    """Whether what has no other form than compiled works for tensors on this device."""
+    return kernels_for(device) is not None
 
 
 @contextmanager

@@ -63,7 +63,7 @@ def image_loss(
     Raises `ValueError` naming an argument of wrong shape, dtype or device, or one that is not finite.
     """
     call = _check(render, target, weights, depth, target_depth, l1, ssim, depth_weight)
-    library = native.kernels() if call.render.device.type == "cpu" else None
+    library = native.kernels_for(call.render.device)
     if library is None or call.render.dtype != torch.float32:
         return _reference(call)
     loss: Tensor = _FusedLoss.apply(call.render, call, library)  # type: ignore[no-untyped-call]

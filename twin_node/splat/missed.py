@@ -94,7 +94,7 @@ class Missed:
     def __init__(
         self, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, rgb: Tensor, learners: Tensor
     ) -> None:
-        """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `can_miss`.
+        """Gaussians as `rasterize` takes them: [n, 3], [n, 4], [n, 3] linear, [n], [n, 3]; see `has_kernels`.
 
         Those that are no `learners` [n] are drawn, and get no descent: zeros. Float32 and bool on the CPU; raises
         `ValueError` naming what is of another shape or kind.
@@ -183,11 +183,6 @@ class Missed:
 
 def _mode(sight: Sight) -> RenderMode:
     return "RGB" if sight.depth is None else "RGB+D"
-
-
-def can_miss(device: torch.device) -> bool:
-    """Whether `Missed` works for tensors on this device."""
-    return device.type == "cpu" and native.kernels() is not None
 
 
 class MissedReference:

@@ -28,17 +28,12 @@ class Placed:
     """[n, 3]."""
 
 
-def can_place(device: torch.device) -> bool:
-    """Whether `place` works for tensors on this device."""
-    return device.type == "cpu" and native.kernels() is not None
-
-
 def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, rows: Tensor | None = None) -> Placed:
     """Carries Gaussians to where their nodes are at T times; nothing is differentiated.
 
     `values` [n, 14] float32: mean, quaternion, log scale, opacity logit and colour in the frames of the nodes,
     `carriers` [n] int64 rows of these, -1 for none, `positions` [T, M, 3] and `quats` [T, M, 4] float64 their poses.
-    With `rows` [n] int64 both are a store of more, of which those are wanted. On the CPU; see `can_place`.
+    With `rows` [n] int64 both are a store of more, of which those are wanted. On the CPU; see `has_kernels`.
     Raises `ValueError` naming what is of another shape or kind.
     """
     library = native.kernels()

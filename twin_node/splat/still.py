@@ -47,7 +47,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     Colour is 0 to 1, on black; depth is that expected along the optical axis, m, 0 where nothing is.
     Raises `ValueError` naming what is of another shape or not finite.
     """
-    library = _kernels(shot)
+    library = native.kernels_for(shot.means.device)
     if library is None:
         return draw_still_reference(shot)
     rgbd, alpha = torch.empty(shot.height, shot.width, 4), torch.empty(shot.height, shot.width)
@@ -78,7 +78,7 @@ def weigh(shot: Shot) -> Tensor:
 
     Raises `ValueError` naming what is of another shape, or not finite of what tells where they show.
     """
-    library = _kernels(shot)
+    library = native.kernels_for(shot.means.device)
     if library is None:
         return weigh_reference(shot)
     workspace, weights = native.Workspace(library), torch.empty(len(shot.means))
@@ -95,10 +95,6 @@ def weigh_reference(shot: Shot) -> Tensor:
     shown, _, _ = rasterize(*given.values())
     (weights,) = torch.autograd.grad(shown.sum(), nothing)
     return weights[:, 0]
-
-
-def _kernels(shot: Shot) -> native.SplatLibrary | None:
-    return native.kernels() if shot.means.device.type == "cpu" else None
 
 
 def _do(work: Callable[[native.Request], None], shot: Shot, options: Options, **fields: Field) -> None:
