@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,13 +20,6 @@ from twin_node.runtime.zenoh_wire import ZenohWire
 
 PATIENCE_S = 90.0
 """How long a test waits for what must come; far more than it takes on a busy machine."""
-
-
-def free_endpoint() -> str:
-    """An address of loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def on_loopback(plan: LaunchPlan, endpoint: str) -> LaunchPlan:

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from launching import Ear, free_endpoint, launched, on_loopback, without_spares
+from launching import Ear, launched, on_loopback, without_spares
 
 from twin_node.bag import open_log
+from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell import load_scenario
 from twin_node.cell.rig import make_rig
 from twin_node.cell.ur_sim import free_loopback

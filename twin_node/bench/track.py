@@ -17,6 +17,7 @@ from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.report.figures import percentiles
 from twin_node.nodes.report.quality import First, clouds_against_images, without
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.scene import FrameSet, Tier
@@ -229,13 +230,6 @@ def _hidden(source: LogSource, leave_out: str | None, log: Path) -> tuple[str, .
 
 def _no_sets(log: Path) -> BenchError:
     return BenchError(f"{log}: no set of images in the span; give a longer --duration")
-
-
-def percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
-    """p50, p95, p99; None without values."""
-    if not milliseconds:
-        return {"p50": None, "p95": None, "p99": None}
-    return {f"p{p}": float(np.percentile(milliseconds, p)) for p in (50, 95, 99)}
 
 
 def gains(scores: TrackScores) -> dict[str, float | None]:

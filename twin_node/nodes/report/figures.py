@@ -29,8 +29,8 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "dropped": run.dropped,
         "scored": None if run.spool is None else len(run.spool),
         "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
-        "latency_ms": _percentiles(latencies),
-        "work_ms": _percentiles(collector.work_ms),
+        "latency_ms": percentiles(latencies),
+        "work_ms": percentiles(collector.work_ms),
         "quality": {**asdict(quality), "left_out": {name: asdict(scores) for name, scores in left_out.items()}},
         "tiers": {tier.name.lower(): counts[tier] for tier in Tier},
         "parameters": run.parameters_count,
@@ -79,7 +79,8 @@ def _coverage(quality: ForecastQuality | None) -> dict[str, float | None]:
     }
 
 
-def _percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
+def percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
+    """p50, p95, p99; None without values."""
     if not milliseconds:
         return {"p50": None, "p95": None, "p99": None}
     return {f"p{p}": float(np.percentile(milliseconds, p)) for p in (50, 95, 99)}
