@@ -63,11 +63,11 @@ def _launch(options: argparse.Namespace) -> int | None:
     return _run(in_one_process(plan) if options.one_process else plan, options.log_dir)
 
 
-def launch(file: Path, arguments: Sequence[str], parameters: Sequence[str] = ()) -> int | None:
+def launch(file: Path, arguments: Sequence[str]) -> int | None:
     """Runs a launch file's graph until it ends or is interrupted; returns the exit status."""
     from twin_node.nodes.launch.launch_file import read_launch_file
 
-    return _run(read_launch_file(file, arguments, parameters), None)
+    return _run(read_launch_file(file, arguments), None)
 
 
 def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:

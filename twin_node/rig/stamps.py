@@ -25,6 +25,9 @@ ENCODING = "utf-8-sig"
 LATEST_S = 1e11
 """No stamp in seconds is later than this (year 5138): larger numbers are in a smaller unit."""
 
+SHARED_CAMERA, SHARED_STAMP = "cam_id", "frame_time"
+"""Columns of a file that lists the frames of all cameras."""
+
 
 @dataclass(frozen=True)
 class StampsFile:
@@ -35,14 +38,6 @@ class StampsFile:
     """JSON: key of the list. CSV: column. Text: none."""
     unit: str = "s"
     """s, ms, us or ns."""
-
-
-@dataclass(frozen=True)
-class SharedColumns:
-    """Names of the columns of a file that lists the frames of all cameras."""
-
-    camera: str
-    stamp: str
 
 
 def read_stamps(source: StampsFile) -> NDArray[np.int64]:
@@ -57,7 +52,7 @@ def read_stamps(source: StampsFile) -> NDArray[np.int64]:
     return _nanoseconds(source, values)
 
 
-def read_shared_stamps(path: Path, columns: SharedColumns, camera: str) -> NDArray[np.int64]:
+def read_shared_stamps(path: Path, camera: str) -> NDArray[np.int64]:
     """Rising stamps [N] in ns, of seconds, of one camera in a CSV file that lists those of all.
 
     Raises `RigError` naming the file where it cannot be read, holds something else or nothing of the camera.
@@ -67,12 +62,12 @@ def read_shared_stamps(path: Path, columns: SharedColumns, camera: str) -> NDArr
         rows = list(csv.DictReader(path.read_text(encoding=ENCODING).splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RigError(f"{path}: expected stamps, found no readable file ({reason(error)})") from error
-    if not rows or not {columns.camera, columns.stamp} <= set(rows[0]):
+    if not rows or not {SHARED_CAMERA, SHARED_STAMP} <= set(rows[0]):
         found = ", ".join(map(str, rows[0])) if rows else "none"
-        raise RigError(f"{path}: expected the columns {columns.camera} and {columns.stamp}, found {found}")
-    own = [row[columns.stamp] for row in rows if str(row[columns.camera]).strip() == camera]
+        raise RigError(f"{path}: expected the columns {SHARED_CAMERA} and {SHARED_STAMP}, found {found}")
+    own = [row[SHARED_STAMP] for row in rows if str(row[SHARED_CAMERA]).strip() == camera]
     if not own:
-        raise RigError(f"{path}: expected rows with {columns.camera} {camera}, found none")
+        raise RigError(f"{path}: expected rows with {SHARED_CAMERA} {camera}, found none")
     return _nanoseconds(source, sorted(_number(source, value) for value in own))
 
 

@@ -151,7 +151,7 @@ class ControlScript:
         return None
 
     def _move_j(self, controller: Controller) -> Motion | None:
-        goal = controller.inputs.doubles(0, 6)
+        goal = controller.inputs.vector(0)
         speed, acceleration = controller.inputs.double(6), controller.inputs.double(7)
         return self._start(controller, MoveJ(controller.target.q, goal, speed, acceleration))
 
@@ -163,12 +163,12 @@ class ControlScript:
         return controller.motion
 
     def _speed_j(self, controller: Controller) -> None:
-        controller.motion = SpeedJ(controller.inputs.doubles(0, 6), controller.inputs.double(6))
+        controller.motion = SpeedJ(controller.inputs.vector(0), controller.inputs.double(6))
 
     def _servo_j(self, controller: Controller) -> None:
         lookahead_s = controller.inputs.double(9)
         velocities = controller.parameters.model.max_velocity
-        controller.motion = ServoJ(controller.inputs.doubles(0, 6), lookahead_s, velocities)
+        controller.motion = ServoJ(controller.inputs.vector(0), lookahead_s, velocities)
 
     def _protective_stop(self, controller: Controller) -> None:
         controller.protective_stop("asked for by a client")
@@ -179,7 +179,7 @@ class ControlScript:
         controller.watchdogs.set(watchdog, controller.clock)
 
     def _set_tcp(self, controller: Controller) -> None:
-        controller.set_tcp(controller.inputs.doubles(0, 6))
+        controller.set_tcp(controller.inputs.vector(0))
 
     def _tcp_offset(self, controller: Controller) -> None:
         controller.outputs.write_doubles(controller.outputs.tcp_offset)
@@ -191,7 +191,7 @@ class ControlScript:
         controller.outputs.int_registers[1] = int(controller.target.is_standing)
 
     def _within_limits(self, controller: Controller) -> None:
-        q, model = controller.inputs.doubles(0, 6), controller.parameters.model
+        q, model = controller.inputs.vector(0), controller.parameters.model
         is_inside = bool(np.all((q >= model.lower) & (q <= model.upper)))
         controller.outputs.int_registers[1] = int(is_inside)
 
@@ -200,8 +200,8 @@ class ControlScript:
 
     def _forward_of(self, controller: Controller) -> None:
         model = controller.parameters.model
-        pose = forward_kinematics(model, controller.inputs.doubles(0, 6))[-1]
-        controller.outputs.write_doubles(pose_in_base(pose, controller.inputs.doubles(6, 6)))
+        pose = forward_kinematics(model, controller.inputs.vector(0))[-1]
+        controller.outputs.write_doubles(pose_in_base(pose, controller.inputs.vector(6)))
 
     def _nothing(self, controller: Controller) -> None:
         """Accepted without effect: the stand-in weighs and measures nothing."""

@@ -135,6 +135,6 @@ class Inputs:
             raise CellError(f"{name}: expected a finite number, found {value:g}; correct the command")
         return value
 
-    def doubles(self, first: int, count: int) -> Float64:
-        """Values of consecutive double registers; raises as `double` does."""
-        return np.array([self.double(first + offset) for offset in range(count)])
+    def vector(self, first: int) -> Float64:
+        """[6] Values of six double registers from `first` on; raises as `double` does."""
+        return np.array([self.double(first + offset) for offset in range(6)])

@@ -16,7 +16,7 @@ from twin_node.rig.calibrate.intrinsics import BoardView
 from twin_node.rig.calibrate.lenses import lens_of
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
-from twin_node.rig.stamps import SharedColumns, StampsFile, read_shared_stamps, read_stamps
+from twin_node.rig.stamps import StampsFile, read_shared_stamps, read_stamps
 from twin_node.scene import Rig, UInt8, as_camera_name
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
@@ -24,7 +24,7 @@ VIDEO_SUFFIXES = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v"}
 STAMP_SUFFIXES = (".json", ".csv", ".txt")
 """Of a file beside a video that has the video's name: the capture times of its frames."""
 
-SHARED_STAMPS, SHARED_COLUMNS = "timestamps.csv", SharedColumns("cam_id", "frame_time")
+SHARED_STAMPS = "timestamps.csv"
 """One file for all cameras, as caliscope writes it: columns cam_id, frame_time (s) and, in any order, others."""
 
 LONGEST_PERIOD_S = 5.0
@@ -181,7 +181,7 @@ def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
             "cameras that run free cannot be paired without"
         )
     ending = re.search(r"\d+$", path.stem)
-    return read_shared_stamps(shared, SHARED_COLUMNS, str(int(ending.group()) if ending else number))
+    return read_shared_stamps(shared, str(int(ending.group()) if ending else number))
 
 
 def _stills(folder: Path) -> dict[str, dict[int, Path]]:
