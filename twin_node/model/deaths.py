@@ -72,6 +72,15 @@ def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes]) -> Bool:
     return needed & ~refuted
 
 
+def lie_still(observed: Sequence[Observed], shapes: Sequence[Shapes]) -> Bool:
+    """[n] which Gaussians lie where no view shows anything that moves. `shapes` holds them for each view."""
+    still = np.ones(len(shapes[0].means), bool)
+    for one, shape in zip(observed, shapes, strict=True):
+        seen = look(one.view.camera, shape.means)
+        still &= ~(seen.inside & seen.within(one.near_moving))
+    return still
+
+
 @dataclass(frozen=True)
 class StaticEvidence:
     """What a set says about the STATIC Gaussians."""

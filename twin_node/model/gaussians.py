@@ -227,9 +227,14 @@ class Gaussians:
     def settle(self, rows: Tensor, node: int, nodes: Nodes) -> None:
         """Gaussians `rows` [n], which the node with the id `node` carries, are STATIC where they are from now on."""
         self._alight(rows, nodes)
-        self.tiers[rows] = int(Tier.STATIC)
+        self.come_to_rest(rows)
         self.rested[rows] = node
+
+    def come_to_rest(self, rows: Tensor) -> None:
+        """Gaussians `rows` [n], which no node carries, are STATIC from now on."""
+        self.tiers[rows] = int(Tier.STATIC)
         self.doubts[rows] = 0
+        self.homeless[rows] = False
         self.forget_moments(rows)
 
     def transfer(self, rows: Tensor, carriers: Tensor, nodes: Nodes) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
+from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, FrameSet, View
 
@@ -14,11 +15,13 @@ class MovingMask:
     """Moving masks of a rig, image set by image set.
 
     Looks at images up to the present only; the first image of a camera is taken as the scene at rest until something
-    in it moves. What moved and stopped stays in the mask; uncovered ground leaves it once it is known to be ground.
+    in it moves. What moved and stopped stays in the mask, where depth is measured until it has kept still for long;
+    uncovered ground leaves it once it is known to be ground, or has been seen for as long.
     """
 
     def __init__(self) -> None:
         self._cameras: dict[str, CameraMask] = {}
+        self._rests: dict[str, LongRest] = {}
 
     def update(self, frames: FrameSet, robot_masks: Sequence[Bool | None]) -> tuple[Bool, ...]:
         """Masks [H, W] per view of `frames`, True where something moves or has moved; the robot is left out.
@@ -30,13 +33,17 @@ class MovingMask:
             if misfit := view.misfit(robot=robot):
                 raise ModelError(f"set {frames.sequence}: {misfit}")
         cameras = [self._camera_of(view) for view in frames.views]
+        given = list(zip(cameras, frames.views, robot_masks, strict=True))
         if can_compile(cameras):
-            return tuple(update_compiled(cameras, frames.views, robot_masks))
-        pairs = zip(cameras, frames.views, robot_masks, strict=True)
-        return tuple(camera.update(view, robot) for camera, view, robot in pairs)
+            masks = update_compiled(cameras, frames.views, robot_masks)
+        else:
+            masks = [camera.update(view, robot) for camera, view, robot in given]
+        rests = [self._rests[view.camera.name] for view in frames.views]
+        return tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
 
     def _camera_of(self, view: View) -> CameraMask:
         camera = self._cameras.get(view.camera.name)
         if camera is None or camera.shape != view.rgb.shape[:2]:
             camera = self._cameras[view.camera.name] = CameraMask(view)
+            self._rests[view.camera.name] = LongRest()
         return camera

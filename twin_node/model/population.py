@@ -16,7 +16,7 @@ from twin_node.model.births import block_side
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed, clashing
+from twin_node.model.deaths import Shapes, are_needed, clashing, lie_still
 from twin_node.model.decisions import Decision
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
 from twin_node.model.motion import Motion
@@ -149,13 +149,17 @@ class Population:
         refuted = g.doubt(rows, torch.from_numpy(gone), CARVE_LOOKS)
         age_s = (self._nodes.stamp - g.births.index_select(0, rows)).double() * 1e-9
         life_s = self._parameters.birth.transient_s
-        aged = (g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)) & (age_s > life_s)
-        ends = refuted | aged
-        if bool(aged.any()):  # who is needed stays, though its rim may reach over what was learnt
+        passing = g.tiers.index_select(0, rows) == int(Tier.TRANSIENT)
+        ends = refuted | (passing & (age_s > life_s))
+        still = lie_still(observed, shapes)
+        stands = torch.from_numpy(self._resting.has_kept_still(carriers, still)).to(rows.device)
+        if bool(ends.any()):  # who is needed stays, though its rim may reach over what was learnt
             needed = torch.from_numpy(are_needed(observed, shapes)).to(rows.device)
-            ends &= ~(aged & needed & (age_s <= NEEDED_LIVES * life_s))
+            stands |= ends & needed & torch.from_numpy(still).to(rows.device)
+            ends &= ~stands & (~needed | (passing & (age_s > NEEDED_LIVES * life_s)))
+        self._resting.lay(rows.index_select(0, rows_where(stands)))
         g.retire(rows.index_select(0, rows_where(ends)))
-        staying, learned = carriers[~ends.cpu().numpy()], self._nodes.learned_rows.numpy()
+        staying, learned = carriers[~(ends | stands).cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
         self._nodes.retire(torch.from_numpy(learned[members[learned] == 0]))
 

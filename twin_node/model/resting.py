@@ -15,6 +15,7 @@ from twin_node.model.births import Births
 from twin_node.model.chosen import rows_where
 from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import RGB, Gaussians
+from twin_node.model.long_rest import STANDS_NS
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed, largest_channel
 from twin_node.model.quality import MOVING_THRESHOLD
@@ -42,6 +43,8 @@ class Resting:
         self._backgrounds = backgrounds
         self._rested_s: dict[int, float] = {}
         """Seconds for which each node, by its id, has rested."""
+        self._stirred_at: dict[int, int] = {}
+        """Stamp (ns) at which each node, by its id, last carried something that lay where something moves."""
 
     def settle(self, resting: Mapping[int, LogEvidence], dt_s: float) -> Sequence[Decision]:
         """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end."""
@@ -58,6 +61,36 @@ class Resting:
             nodes.retire(torch.tensor([ids[node] for node in ended]))
             self._backgrounds.renew()
         return [Decision(Kind.SETTLED, nodes.stamp, node, node, resting[ids[node]]) for node in ended]
+
+    def has_kept_still(self, carriers: NDArray[np.int64], still: Bool) -> Bool:
+        """[n] whether none of what the nodes `carriers` [n] (-1: none) carry has lain where something moves for long.
+
+        `still` [n] says which does not now. What hides it may be what it is part of, which stands by now.
+        """
+        stamp, ids = self._nodes.stamp, np.where(carriers >= 0, self._nodes.ids.numpy()[carriers], -1)
+        stirred = set(ids[~still].tolist())
+        self._stirred_at = {
+            node: stamp if node in stirred else self._stirred_at.get(node, stamp) for node in np.unique(ids).tolist()
+        }
+        kept = [node for node, at in self._stirred_at.items() if node >= 0 and stamp - at > STANDS_NS]
+        return np.isin(ids, kept)
+
+    def lay(self, rows: Tensor) -> None:
+        """Gaussians `rows` [n] that moved are STATIC where they are from now on, and so for each node those it carried.
+
+        For what images show to stand, whatever its node makes of it.
+        """
+        g, nodes = self._gaussians, self._nodes
+        if not len(rows):
+            return
+        carriers = g.nodes.index_select(0, rows)
+        for node in sorted(set(carriers.tolist())):
+            members = rows.index_select(0, rows_where(carriers == node))
+            if node >= 0:
+                g.settle(members, int(nodes.ids[node]), nodes)
+            else:
+                g.come_to_rest(members)
+        self._backgrounds.mark()
 
     def wake(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> Sequence[Decision]:
         """Gives what rested and looks otherwise a node again; `renderings` tell what stands covered."""
