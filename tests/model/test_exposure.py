@@ -61,6 +61,16 @@ def test_darkness_is_no_exposure(gain: float) -> None:
     assert fit_exposure(shown, gain * shown, PLAIN) is PLAIN
 
 
+@pytest.mark.parametrize("share", [0.1, 0.12])
+def test_light_that_is_switched_on_is_told_by_who_began_in_the_dark(share: float) -> None:
+    """No single colour is bright enough to tell a ratio."""
+    rng = np.random.default_rng(0)
+    seen = (rng.uniform(0.15, 0.6, (800, 1)) * rng.uniform(0.6, 1.0, (800, 3))).astype(np.float32)
+    shown = (np.round(255 * share * seen + rng.normal(0, 0.3, seen.shape)) / 255).clip(0, 1).astype(np.float32)
+    found = fit_exposure(shown, seen, PLAIN)
+    assert np.abs(share * found.gains - 1).max() < 0.1
+
+
 def test_an_image_in_the_usual_light_is_left_alone_to_the_bit() -> None:
     exposures, first = Exposures(), frames(0, None, rig())
     exposures.begin(first, (PLAIN,) * 3)

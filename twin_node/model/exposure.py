@@ -14,7 +14,16 @@ import cv2
 import numpy as np
 
 from twin_node.model.first_light import is_blind
-from twin_node.model.remembered import DARKEST, FEWEST, QUANTUM, SATURATED, SLACK, Remembered, middle_ratios
+from twin_node.model.remembered import (
+    DARKEST,
+    FEWEST,
+    QUANTUM,
+    SATURATED,
+    SLACK,
+    Remembered,
+    middle_ratios,
+    ratios_of_middles,
+)
 from twin_node.scene import PLAIN, Bool, Exposure, Float32, FrameSet, UInt8, View
 
 SAME = 0.02
@@ -147,6 +156,8 @@ def fit_exposure(shown: Float32, seen: Float32, usual: Exposure) -> Exposure:
     The `usual` one where it explains more, or no one rule explains enough.
     """
     gains = middle_ratios(shown, seen)
+    if gains is None:
+        gains = ratios_of_middles(shown, seen)
     exposure = Exposure(usual.gains if gains is None else gains, np.zeros(3, np.float32))
     clear = seen < SATURATED * QUANTUM
     for _ in range(ROUNDS):

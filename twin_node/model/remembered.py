@@ -100,3 +100,15 @@ def middle_ratios(shown: Float32, seen: Float32) -> Float32 | None:
     half = ratios.shape[1] // 2
     middle: Float32 = np.partition(ratios, half, axis=-1)[:, half]
     return middle
+
+
+def ratios_of_middles(shown: Float32, seen: Float32) -> Float32 | None:
+    """[3] the ratio of the middle colours `seen` to those `shown` [n, 3]: dark ones tell so much together, not alone.
+
+    None where too few are at hand, or nothing but black.
+    """
+    clear = (seen < SATURATED * QUANTUM).all(1)
+    if np.count_nonzero(clear) < FEWEST:
+        return None
+    middles: Float32 = np.median([shown[clear], seen[clear]], axis=1).astype(np.float32)
+    return None if (middles[0] < 2 * QUANTUM).any() else middles[1] / middles[0]
