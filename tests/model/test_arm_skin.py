@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 from model_scenes import camera, frames, with_joints
 
 from twin_node.model import MapParameters, ModelParameters, SeedParameters, WindowModel
@@ -191,3 +192,20 @@ def test_what_is_learnt_of_the_arm_a_set_later_lies_where_the_arm_was_when_it_wa
     share = np.clip(((learnt.means[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(1), 0, 1)
     apart = np.linalg.norm(learnt.means[:, None] - a - share[..., None] * (b - a), axis=-1) - placed.radii
     assert apart.min(1).max() < 0.02
+
+
+@pytest.mark.parametrize(("leaves", "least", "most"), [(True, 0.0, 0.3), (False, 0.9, 1.0)])
+def test_an_arm_that_left_while_nobody_told_of_its_joints_is_not_drawn_where_it_was(
+    leaves: bool, least: float, most: float
+) -> None:
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8), map=MapParameters(steps=0)), arm=ARM)
+    counts = []
+    for index in range(10):
+        gone = leaves and index >= 2
+        one, _ = chequered(index, Q + HALF_ROUND / 2 if gone else Q)
+        stamp = one.stamp + 300_000_000 * index
+        views = tuple(replace(view, stamp=stamp) for view in one.views)
+        joints = None if index >= 2 or one.joints is None else replace(one.joints, stamp=stamp)
+        model.update(replace(one, stamp=stamp, views=views, joints=joints))
+        counts.append(model.tier_counts[Tier.ROBOT])
+    assert least <= counts[-1] / counts[1] <= most

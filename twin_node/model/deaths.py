@@ -52,7 +52,7 @@ def refuted_moving_reference(observed: Sequence[Observed], shapes: Sequence[Shap
         behind = seen.depth > (one.background.depth * (1 + OCCLUSION)).take(at)
         empty = one.usable.take(at) & ~np.where(carried, one.near_moving.take(at), one.active.take(at))
         refuted |= (seen.inside | looms) & ~behind & empty
-        refuted |= _seen_through(one, seen)
+        refuted |= seen_through(one, seen)
     return refuted
 
 
@@ -68,7 +68,7 @@ def are_needed(observed: Sequence[Observed], shapes: Sequence[Shapes]) -> Bool:
             seen = look(one.view.camera, shape.means)
             apart = np.abs(one.nearest[seen.rows, seen.columns] - seen.depth)
             needed |= seen.inside & seen.within(one.surprise > MOVING_THRESHOLD) & (apart < SEEN_THROUGH * seen.depth)
-            refuted |= _seen_through(one, seen)
+            refuted |= seen_through(one, seen)
     return needed & ~refuted
 
 
@@ -110,7 +110,7 @@ def judge_static_reference(observed: Sequence[Observed], renderings: Sequence[Re
         if one.nearest is not None:
             visible &= one.nearest[seen.rows, seen.columns] > (1 - SEEN_THROUGH) * seen.depth
             changed = np.zeros(count, bool)
-        proven |= _seen_through(one, seen)  # through all that is drawn before it too
+        proven |= seen_through(one, seen)  # through all that is drawn before it too
         shown += visible
         gone += visible & changed
         moving += visible & one.moving[seen.rows, seen.columns]
@@ -132,11 +132,11 @@ def clashing(observed: Sequence[Observed], left: Bool, rgb: Tensor) -> Bool:
     for one in observed:
         seen = one.background.static.of(suspects)
         differs = np.abs(one.rgb[seen.rows, seen.columns] - colours).max(-1) > CLASH
-        clash[suspects] |= _seen_through(one, seen) & differs
+        clash[suspects] |= seen_through(one, seen) & differs
     return clash
 
 
-def _seen_through(one: Observed, seen: Seen) -> Bool:
+def seen_through(one: Observed, seen: Seen) -> Bool:
     """[n] points behind which the view measures depth."""
     if one.nearest is None:
         return np.zeros(len(seen.rows), bool)

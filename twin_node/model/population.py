@@ -16,7 +16,7 @@ from twin_node.model.births import block_side
 from twin_node.model.chosen import rows_where
 from twin_node.model.compiled_births import find_births
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed, clashing, lie_still
+from twin_node.model.deaths import Shapes, are_needed, clashing, lie_still, seen_through
 from twin_node.model.decisions import Decision
 from twin_node.model.gaussians import MEAN, RGB, Gaussians
 from twin_node.model.motion import Motion
@@ -25,6 +25,7 @@ from twin_node.model.observation import Observed
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.placing import Placer
 from twin_node.model.pruning import MovingPruner
+from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
 from twin_node.model.throttle import Throttle
@@ -38,6 +39,8 @@ CARVE_LOOKS = 2
 TURNOVER = 0.05
 """Share of the Gaussians that move that newborns may replace per set where no room is left: they are guesses, and what
 they replace was fitted."""
+ARM_LOST_S = 1.0
+"""Time without joints after which an arm counts as one of the things, s: messages get lost."""
 NEEDED_LIVES = 6.0
 """How many lives a TRANSIENT has while nothing else explains what depth is measured of it."""
 
@@ -81,13 +84,15 @@ class Population:
         self._pruner = MovingPruner(gaussians)
         self._judging, self._burying = Throttle(STANDING_JUDGED_S), Throttle(MOVING_JUDGED_S)
 
-    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
+    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering], arm_lost_s: float = 0.0) -> None:
         """What the images refute goes: what stands often, for what begins to move must board at once; what moves now
-        and then."""
+        and then, and so of an arm whose joints nobody has told for `arm_lost_s`."""
         if self._judging.is_due(self._nodes.stamp):
             self._judge_static(observed, renderings)
         if self._burying.is_due(self._nodes.stamp):
             self._judge_moving(observed)
+            if arm_lost_s > ARM_LOST_S:
+                self._judge_arm(observed)
         g = self._gaussians
         self._house(rows_where(g.alive & g.homeless), adopt_points)
 
@@ -162,6 +167,15 @@ class Population:
         staying, learned = carriers[~(ends | stands).cpu().numpy()], self._nodes.learned_rows.numpy()
         members = np.bincount(staying[staying >= 0], minlength=self._nodes.capacity)
         self._nodes.retire(torch.from_numpy(learned[members[learned] == 0]))
+
+    def _judge_arm(self, observed: Sequence[Observed]) -> None:
+        """What measured depth sees through of an arm that stands where its joints were last is elsewhere by now."""
+        g, rows = self._gaussians, self._gaussians.robot_rows
+        splats = self._placer.place(rows, observed, self._placer.poses(observed))
+        gone = np.zeros(len(rows), bool)
+        for one, means in zip(observed, splats.means.cpu().numpy(), strict=True):
+            gone |= seen_through(one, look(one.view.camera, means))
+        g.retire(rows.index_select(0, rows_where(g.doubt(rows, torch.from_numpy(gone), CARVE_LOOKS))))
 
     def _house(self, rows: Tensor, carriers_of: Adopt) -> None:
         """Gaussians `rows` [n] that move but have no node become RIGID where one is near or can be founded."""

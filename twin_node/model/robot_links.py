@@ -32,7 +32,7 @@ class RobotLinks:
         still = torch.zeros(3, dtype=torch.float64)
         born = [nodes.give_birth(torch.from_numpy(poses[j, :3, 3].copy()), still, Tier.ROBOT) for j in self._links]
         self._rows = torch.tensor(born)
-        self._unknown_s = 0.0
+        self.unknown_s = 0.0
         """Time since joints were told last, s."""
         self.drive(joints, 0.0)
 
@@ -41,8 +41,8 @@ class RobotLinks:
 
         Where nobody tells of the joints the links stand still, where they were last.
         """
-        elapsed_s = self._unknown_s + dt_s
-        self._unknown_s = elapsed_s if joints is None else 0.0
+        elapsed_s = self.unknown_s + dt_s
+        self.unknown_s = elapsed_s if joints is None else 0.0
         if joints is None:
             still = np.zeros((len(self._rows), 3))
             self._nodes.set_velocities(self._rows, still, still)
