@@ -238,6 +238,13 @@ def test_when_all_cameras_move_what_they_look_at_has(recording: tuple[FrameSet, 
     assert last.warnings[0].startswith("all cameras seem to have moved")
 
 
+def test_when_all_cameras_see_nothing_that_stood_it_is_the_light() -> None:
+    lost = tuple(Drift(name, Verdict.LOST, 0.0, 0.0, 0, 0) for name in ("left", "right"))
+    (warning,) = DriftReport(0, lost).warnings
+    assert "lit otherwise" in warning
+    assert "start the twin anew" in warning
+
+
 @pytest.mark.parametrize(
     ("depth_until_s", "consequence"),
     [

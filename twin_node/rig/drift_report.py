@@ -109,6 +109,11 @@ def _none_left(drifts: Sequence[Drift]) -> str:
             "all cameras seem to have moved: what carries them has, or all that they look at; nothing is published; "
             "put it back, or calibrate anew and restart"
         )
+    if all(drift.verdict == Verdict.LOST for drift in drifts):
+        return (
+            "all cameras see nothing of what stood there: the cell is lit otherwise than when the twin began, or all "
+            "are covered; nothing is published; free their views, give the cell its light back, or start the twin anew"
+        )
     return (
         "no camera is to be trusted: each has moved, hangs, is covered or turned away; nothing is published; free "
         "their views, and restart those that hang"
