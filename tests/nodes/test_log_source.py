@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from twin_node.nodes.recordings import read_recording
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.robot import ur_model
-from twin_node.scene import Rig, RigCamera
+from twin_node.scene import Float64, Rig, RigCamera
 
 
 def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
@@ -151,6 +151,31 @@ def test_rectified_images_are_not_rectified_again(tmp_path: Path, name: str) -> 
     np.testing.assert_array_equal(view.rgb, shown)
 
 
+def log_with_frames(path: Path, frame: str, transforms: Mapping[str, Sequence[tuple[str, str, Float64]]]) -> Path:
+    """One image of a camera in `frame`; `transforms`: by topic, parents, children and the children's poses."""
+    K = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]])
+    info = convert.camera_info(RigCamera("front", 64, 48, K, np.eye(4)), 5)
+    info.header.frame_id = frame
+    with LogWriter(path) as log:
+        for topic, told in transforms.items():
+            stamped = [convert.transform_stamped(*one, 5) for one in told]
+            log.write(topic, message_type("tf2_msgs/msg/TFMessage")(transforms=stamped), 5)
+        log.write("/front/camera_info", info, 5)
+        log.write("/front/image_raw", convert.raw_image("front", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    return path
+
+
+def test_a_camera_on_the_arm_is_refused_as_one(tmp_path: Path) -> None:
+    """It was asked to be added to /tf_static, as if it stood."""
+    moved, fixed = [("base_link", "wrist_3_link", np.eye(4))], [("wrist_3_link", "front_optical_frame", np.eye(4))]
+    path = log_with_frames(tmp_path / "log.mcap", "front_optical_frame", {"/tf": moved, "/tf_static": fixed})
+    with pytest.raises(GraphError, match="found its frame front_optical_frame fixed to wrist_3_link, which /tf moves"):
+        LogSession(path)
+    path = log_with_frames(tmp_path / "other.mcap", "front_optical_frame", {"/tf": moved, "/tf_static": []})
+    with pytest.raises(GraphError, match="no transforms join it to base_link"):
+        LogSession(path)
+
+
 @pytest.mark.parametrize(
     ("frame", "down_deg", "is_refused"),
     [
@@ -174,14 +199,7 @@ def test_a_camera_whose_images_are_said_to_be_of_a_links_frame_is_refused(
         up = np.deg2rad(30)
         T[:3, :3] = [[0, np.sin(up), np.cos(up)], [-1, 0, 0], [0, -np.cos(up), np.sin(up)]]
     T[:3, 3] = [-1.0, 0.0, 0.5]
-    K = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]])
-    info, path = convert.camera_info(RigCamera("front", 64, 48, K, np.eye(4)), 5), tmp_path / "log.mcap"
-    info.header.frame_id = frame
-    with LogWriter(path) as log:
-        transforms = [convert.transform_stamped("base_link", frame, T, 5)]
-        log.write("/tf_static", message_type("tf2_msgs/msg/TFMessage")(transforms=transforms), 5)
-        log.write("/front/camera_info", info, 5)
-        log.write("/front/image_raw", convert.raw_image("front", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    path = log_with_frames(tmp_path / "log.mcap", frame, {"/tf_static": [("base_link", frame, T)]})
     if not is_refused:
         LogSession(path).log.close()
         return

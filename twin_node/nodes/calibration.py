@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, rig_camera
 from twin_node.nodes.contents import content_of
-from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, is_rectified
+from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
 from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
 from twin_node.scene import Float64, Rig
@@ -26,6 +27,8 @@ ANOTHER_LENS = 0.05
 UPWARD, LEVEL = 0.25, 0.3
 """Least of a z axis and most of a y axis along the base's z that tell a link's frame (x forward, y left, z up) up to 75
 degrees down from an optical one, whose y points down unless its camera lies on its side."""
+LOOKED_AT = 500
+"""Messages with transforms that tell what moves: a second of a controller at 500 Hz."""
 ANOTHER_PLACE_M = 0.005
 """So far apart are no two frames of one lens, m; lenses of one device are 15 mm and more."""
 
@@ -190,6 +193,13 @@ def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, 
     try:
         T_base_cam = tree.lookup(frame)
     except MessageError as error:
+        root = tree.root(frame)
+        if _is_moved(log, root):
+            raise GraphError(
+                f"{log.path}: camera '{camera.name}': expected a camera that stands, found its frame {frame} fixed to "
+                f"{root}, which {TF} moves; give --rig RIG.yaml with the cameras that stand, or let {TF_STATIC} place "
+                f"{root} if this one does"
+            ) from None
         others = [topic.name for topic in log.topics if topic.name != tf_static and is_of_several(topic.name)]
         hint = f"; there are some on {', '.join(others)}: --remap {others[0]}:={TF_STATIC}" if others else ""
         raise GraphError(f"{log.path}: camera '{camera.name}': {error}{hint}") from None
@@ -200,6 +210,12 @@ def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, 
             "header.frame_id (and /tf_static place it), or give --rig RIG.yaml"
         )
     return T_base_cam
+
+
+def _is_moved(log: LogReader, frame: str) -> bool:
+    """Whether the log's transforms over time give a frame a parent, by the first ones of them."""
+    told = itertools.islice(log.messages([TF]), LOOKED_AT)
+    return any(one.child_frame_id.lstrip("/") == frame for entry in told for one in content_of(entry, log).transforms)
 
 
 def _calibration_messages(

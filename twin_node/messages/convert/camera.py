@@ -207,6 +207,13 @@ class TransformTree:
         joined: Float64 = inverse_pose(T_root_base) @ T_root_frame
         return joined
 
+    def root(self, frame: str) -> str:
+        """The frame that a frame hangs on in the end; itself where no transform gives it a parent, or none is sound."""
+        try:
+            return self._to_root(frame)[0]
+        except MessageError:
+            return frame
+
     def _to_root(self, frame: str) -> tuple[str, Float64]:
         T = np.eye(4)
         for _ in range(len(self._parents) + 1):
