@@ -22,6 +22,7 @@ from twin_node.nodes.playback import Playback
 from twin_node.nodes.recordings import read_recording
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import COMPRESSED, GraphError
+from twin_node.rig import RigFile, save_rig
 from twin_node.robot import ur_model
 from twin_node.scene import Float64, Rig, RigCamera
 
@@ -111,6 +112,23 @@ def test_who_makes_something_of_a_part_of_a_log_is_told(
     assert main(["train", str(log), *out]) == 0
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]
     assert line.startswith(f"twin_node: warning: {log}: ")
+
+
+def test_who_makes_something_of_sets_without_a_camera_is_told_of_it(tmp_path: Path) -> None:
+    """train, bake and the benchmarks went on without it, and said nothing."""
+    K, log = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]]), tmp_path / "log.mcap"
+    rig = Rig(tuple(RigCamera(name, 64, 48, K, np.eye(4)) for name in ("left", "right", "gone")))
+    save_rig(RigFile(rig), tmp_path / "rig.yaml")
+    with LogWriter(log) as written:
+        for k in range(20):
+            stamp = k * 33_000_000 + 5
+            for name in ("left", "right", "gone")[: 2 if k else 3]:
+                image = convert.raw_image(name, stamp, np.zeros((48, 64, 3), np.uint8))
+                written.write(f"/{name}/image_raw", image, stamp)
+    with LogSession(log, tmp_path / "rig.yaml") as session, pytest.warns(TwinWarning) as told:
+        sets = list(LogSource(session, SynchronizerParameters(48)))
+    (line,) = {str(warning.message) for warning in told}
+    assert line.startswith("camera gone: in only 1 of ") and len(sets) > 10
 
 
 def test_damage_is_told_before_what_cannot_be_read_for_it(cell_log: Callable[..., Path], tmp_path: Path) -> None:

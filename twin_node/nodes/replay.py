@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
-from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.log_source import LogSession, LogSource, lacking, workspace_for
 from twin_node.nodes.model import Following
 from twin_node.nodes.player import Player
 from twin_node.nodes.reading import Finished, Order, Reading, play
@@ -32,10 +32,7 @@ from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.runtime.memory import peak_mb
 from twin_node.runtime.node import Node
 from twin_node.runtime.worker_process import EndedError
-from twin_node.scene import Camera, FrameSet
-
-LEAST_SHARE = 0.5
-"""Share of all sets in which a camera is expected to have an image."""
+from twin_node.scene import Camera, FrameSet, RigCamera
 
 Progress = Callable[[float], None]
 """Called with the seconds of log time that have been played."""
@@ -75,15 +72,9 @@ class Run:
         """Whether every set went through in turn, however long it took."""
         return self.rate is None
 
-    def missed(self, cameras: Iterable[str]) -> tuple[str, ...]:
+    def missed(self, cameras: Sequence[RigCamera]) -> tuple[str, ...]:
         """A line for each of the log's cameras that most sets had to do without."""
-        sets, images = self.collector.arrived, self.collector.images
-        return tuple(
-            f"camera {name}: in only {images.get(name, 0)} of {sets} sets: its images' stamps lie too far from the "
-            "others', or it sends more slowly; see their times with 'twin_node check'"
-            for name in cameras
-            if images.get(name, 0) < LEAST_SHARE * sets
-        )
+        return lacking(cameras, self.collector.images, self.collector.arrived)
 
 
 @contextlib.contextmanager
