@@ -110,8 +110,12 @@ def test_depth_of_the_same_lens_and_of_one_that_is_not_calibrated_is_taken(tmp_p
 def test_depth_of_a_lens_beside_the_colours_is_refused_where_transforms_tell(tmp_path: Path) -> None:
     """A D455's two lenses have nearly the same focal length, 59 mm from each other; a D405's are one."""
     rig = rig_of(tmp_path / "rig.yaml")
+    apart = foreign_log(tmp_path / "d455.mcap", 64.5, 0.059)
     with pytest.raises(GraphError, match=r"depth_optical_frame is 59 mm from camera_camera_optical_frame"):
-        LogSession(foreign_log(tmp_path / "d455.mcap", 64.5, 0.059), rig)
+        LogSession(apart, rig)
+    depth = f"{DEPTH}/image_rect_raw"  # whose driver aligns it, and names the frame wrongly
+    with LogSession(apart, rig, {depth: f"{ALIGNED}/image_raw"}) as session:
+        assert session.cameras[0].depth == f"{ALIGNED}/image_raw"
     with LogSession(foreign_log(tmp_path / "d405.mcap", 64.5, 0.0), rig) as session:
         assert session.cameras[0].depth == f"{DEPTH}/image_rect_raw"
 

@@ -100,7 +100,7 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str 
     tree = _static_transforms(log, tf_static) if are_apart else TransformTree()
     for camera, (of_colour, of_depth) in frames.items():
         why = _other_pinhole(camera, first.get(camera.info), first.get(camera.depth_info))
-        if why is None and of_colour != of_depth:
+        if why is None and of_colour != of_depth and not camera.is_depth_aligned:
             why = _other_place(of_colour, of_depth, tree)
         if why is not None:
             raise GraphError(
@@ -127,7 +127,10 @@ def _other_place(of_colour: str, of_depth: str, tree: TransformTree) -> str | No
         apart_m = float(np.linalg.norm(tree.lookup(of_depth, of_colour)[:3, 3]))
     except MessageError:
         return None
-    return f"{of_depth} is {1e3 * apart_m:.0f} mm from {of_colour}" if apart_m > ANOTHER_PLACE_M else None
+    if apart_m <= ANOTHER_PLACE_M:
+        return None
+    named = "if it is aligned all the same, --remap it to a name with 'aligned_depth'"
+    return f"{of_depth} is {1e3 * apart_m:.0f} mm from {of_colour}; {named}"
 
 
 def _frame(message: Any) -> str:

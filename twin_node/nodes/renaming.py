@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from twin_node.bag import LogReader
-from twin_node.nodes.topics import CameraTopics, GraphError, absolute, is_rectified
+from twin_node.nodes.topics import CameraTopics, GraphError, absolute, is_aligned_depth, is_rectified
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,16 @@ class Renamed:
         return self.originals.get(topic, topic)
 
     def original_camera(self, camera: CameraTopics) -> CameraTopics:
-        """The camera's topics as the log calls them; either name may say that its images are rectified."""
+        """The camera's topics as the log calls them; either name may say of images and depth what they are."""
         image = self.original(camera.image)
+        depth = None if camera.depth is None else self.original(camera.depth)
         return replace(
             camera,
             image=image,
             is_rectified=camera.is_rectified or is_rectified(image),
             info=self.original(camera.info),
-            depth=None if camera.depth is None else self.original(camera.depth),
+            depth=depth,
+            is_depth_aligned=camera.is_depth_aligned or is_aligned_depth(depth or ""),
             depth_info=None if camera.depth_info is None else self.original(camera.depth_info),
         )
 

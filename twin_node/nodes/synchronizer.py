@@ -154,7 +154,7 @@ class SynchronizerNode(Node):
         stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
         now = self.clock.now()
         self._watch.add(name, stamp, now, view.depth is not None)
-        if view.depth is not None:
+        if view.depth is not None and not self._topics[name].is_depth_aligned:
             self._watch.add_depth_frame(name, view.depth.header.frame_id, view.colour.header.frame_id)
         if not self._is_live:
             now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps

@@ -120,6 +120,8 @@ class CameraTopics:
     """Where the depth's own calibration is; None where there is none."""
     is_rectified: bool = False
     """Whether its images have been rectified already."""
+    is_depth_aligned: bool = False
+    """Whether the depth's name says that it is aligned with the colour image."""
 
 
 def parse_remaps(remaps: Sequence[str]) -> dict[str, str]:
@@ -180,7 +182,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
     images = [topic for topic in types if types[topic] in (COMPRESSED, RAW)]
-    images.sort(key=lambda t: (not _is_aligned_depth(t), types[t] != COMPRESSED, t))
+    images.sort(key=lambda t: (not is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
     for topic in images:
         if _is_colour(topic) and topic not in measured:
@@ -210,6 +212,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
             if name in depth
             else None,
             is_rectified=is_rectified(topic),
+            is_depth_aligned=is_aligned_depth(depth.get(name, "")),
         )
         for name, topic in sorted(colour.items())
     )
@@ -277,7 +280,8 @@ def _info_beside(image: str) -> str:
     return re.sub("/compressed(Depth)?$", "", image).rpartition("/")[0] + "/camera_info"
 
 
-def _is_aligned_depth(topic: str) -> bool:
+def is_aligned_depth(topic: str) -> bool:
+    """Whether a topic's depth is aligned with the colour image, by its name."""
     return any(word in topic for word in _ALIGNED_DEPTH)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError
+from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, is_aligned_depth
 from twin_node.scene import Float64, Rig
 
 CAMERA = "{camera}"
@@ -82,6 +82,7 @@ def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
         image_type=COMPRESSED if parameters.image.endswith("/compressed") else RAW,
         info=f"/{camera}/camera_info",
         depth=_topic(camera, parameters.depth) if parameters.depth else None,
+        is_depth_aligned=is_aligned_depth(parameters.depth),
         depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
     )
 
