@@ -133,11 +133,11 @@ def check_output(path: Path, *suffixes: str) -> None:
     if path.suffix not in suffixes:
         raise TwinError(f"-o {path}: expected a name that ends in {', '.join(suffixes)}")
     if not _is_writable(path):
-        raise TwinError(f"-o {path}: {_WRITABLE}; choose another name, or make the folder first")
+        raise TwinError(f"-o {path}: {_WRITABLE}; choose another place")
     refuse_taken(path, TwinError)
 
 
-_WRITABLE = "expected the name of a file in a folder that exists"
+_WRITABLE = "expected the name of a file in a folder that exists and can be written to"
 
 
 def _is_writable(path: Path) -> bool:
