@@ -13,6 +13,7 @@ from obstacle_sets import MS, NOW, Thing, obstacles
 from turning_arm import REACTION_S, READY, TURNING, ahead, beside_the_tool, decided, decided_since
 
 from twin_node.arm import (
+    Approaches,
     ArmCollisionChecker,
     ArmError,
     SeparationParameters,
@@ -329,8 +330,9 @@ def test_a_law_that_gives_no_number_lets_nothing_move(ur5e_checker: ArmCollision
         decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, infinite)
     motion = ArmMotion(NOW, REACTION_S, TURNING, stopping_table("ur5e"))
     found = hazards(ur5e_checker.obstacles, NOW, SeparationParameters())
-    pair, one = np.zeros(1, np.int64), np.ones(1)
-    unknown = Encounter(found, pair, pair, np.full(1, np.nan), one, motion, SeparationParameters())
+    row = np.zeros(1, np.int64)
+    pair = Approaches(row, row, np.full((1, 1), np.nan))
+    unknown = Encounter.of(found, pair, np.ones(1), motion, SeparationParameters())
     assert np.isnan(unknown.shortfall(1.0)).all()
     assert unknown.largest_share() == 0.0
 
@@ -344,8 +346,9 @@ def test_what_a_forecast_holds_first_is_there_before_it_begins(
     slow = 0.05 * TURNING  # stands before the forecast begins, so soon that nothing would come in time
     for velocity in (TURNING, slow, -TURNING):
         later = replace(at_once, valid_ms=(early_ms, 200 + early_ms))
+        seen = replace(at_once, valid_ms=(0, 0), reach=(0.05, 0.0))  # it keeps still until then
         expected = decided(ur5e_checker, at_once, velocity=velocity)
-        found = decided(ur5e_checker, later, velocity=velocity)
+        found = decided(ur5e_checker, later, seen, velocity=velocity)
         assert found.speed_fraction <= expected.speed_fraction + 0.2
         assert (found.reason, found.distance) == (expected.reason, pytest.approx(expected.distance, abs=1e-6))
 

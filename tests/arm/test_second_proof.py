@@ -141,3 +141,26 @@ def test_what_moves_far_away_proves_nothing_of_what_stands(ur5e_checker: ArmColl
 def test_nothing_comes_nearer_before_its_delay_is_over() -> None:
     told = Reaches(np.array([1.0]), np.array([0.15]), evidence=NOW, begins=NOW, ends=NOW + 300 * MS)
     assert told.until(NOW + 100 * MS, np.array([1.6]))[0] == 0.0
+
+
+def test_who_passes_the_arm_before_the_forecast_begins_is_on_the_way_meanwhile(
+    ur5e_checker: ArmCollisionChecker,
+) -> None:
+    """Seen on one side and forecast on the other, a hand counted nowhere between: the arm went on into it."""
+    seen = beside_the_tool(ur5e_checker, -0.25, valid_ms=SEEN)
+    beyond = beside_the_tool(ur5e_checker, 0.35, valid_ms=(250, 450))
+    found = decided_since(ur5e_checker, seen, beyond)
+    assert (found.speed_fraction, found.reason) == (0.0, "stopped for MOVING")
+    assert found.term_human == pytest.approx(1.6 * 0.25)  # from the first layer: nearer to the truth than from before
+    assert found.required == pytest.approx(found.term_human + 0.035)
+    stays = replace(seen, reach=(0.01, 0.0))
+    assert decided_since(ur5e_checker, stays, beyond).speed_fraction > 0.5
+    arrives = beside_the_tool(ur5e_checker, 0.7, valid_ms=(250, 450))
+    assert decided_since(ur5e_checker, seen, arrives).speed_fraction == 1.0  # nobody can come through the arm to there
+
+
+def test_of_who_is_forecast_alone_nobody_knows_where_they_were(ur5e_checker: ArmCollisionChecker) -> None:
+    """The first layer begins in 100 ms: until then who is in it may be 16 cm away."""
+    for left_m, share in ((0.12, 0.0), (0.35, 1.0)):
+        somebody = beside_the_tool(ur5e_checker, left_m, valid_ms=(100, 300))
+        assert decided_since(ur5e_checker, somebody, velocity=-TURNING).speed_fraction == share

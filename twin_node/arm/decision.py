@@ -57,8 +57,7 @@ def decide(
     fastest = float((steps / np.diff(seconds)).max(initial=0.0))
     pairs = checker.approaches(positions[picked], _reach(found, motion, law, fastest))
     closing = _closing(pairs, seconds[picked])
-    encounter = Encounter(found, pairs.capsules, pairs.obstacles, pairs.distances[0], closing, motion, law)
-    return _settle(checker, closest, pairs, encounter)
+    return _settle(checker, closest, Encounter.of(found, pairs, closing, motion, law))
 
 
 def _refuse_wrong(path: JointPath, stamp: int, reaction_s: float) -> None:
@@ -92,7 +91,7 @@ def _refuse_future(evidence: int, stamp: int) -> None:
         )
 
 
-def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches, encounter: Encounter) -> Separation:
+def _settle(checker: ArmCollisionChecker, closest: Clearance, encounter: Encounter) -> Separation:
     """Applies the law to the pairs and names the one that decides; where none is closing in, the closest one."""
     shortfall, terms = encounter.shortfall(1.0), encounter.terms(1.0)
     reason = "clear" if len(shortfall) == 0 else "not closing in"
@@ -101,7 +100,7 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
     if (shortfall == -np.inf).all():
         return free
     worst = int(shortfall.argmax())  # one that is not a number comes before all others
-    row = int(pairs.obstacles[worst])
+    row = int(encounter.rows[worst])
     if not np.isfinite(shortfall[worst]):
         raise ArmError(
             f"separation: expected a protective distance from obstacle {checker.obstacles.ids[row]}, found "
@@ -118,7 +117,7 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, pairs: Approaches,
         term_stopping=float(terms.stopping[worst]),
         term_intrusion=float(terms.intrusion[worst]),
         term_uncertainty=float(terms.uncertainty[worst]),
-        link=checker.capsule_names[pairs.capsules[worst]],
+        link=checker.capsule_names[encounter.capsules[worst]],
         obstacle_id=int(checker.obstacles.ids[row]),
         speed_fraction=share,
         reason=f"{state} {kind}",
@@ -155,7 +154,9 @@ def _reach(found: Hazards, motion: ArmMotion, law: SeparationParameters, fastest
     those that do not count.
     """
     rows = np.arange(len(found.counts))
-    nothing = np.zeros(len(rows))
-    bound = Encounter(found, rows, rows, nothing, np.full(len(rows), fastest), motion, law)
+    all_pairs = Approaches(rows, rows, np.zeros((1, len(rows))))
+    bound = Encounter.of(found, all_pairs, np.full(len(rows), fastest), motion, law)
+    reach = np.zeros(len(rows))
+    np.maximum.at(reach, bound.rows, bound.terms(1.0).required)
     in_time = found.valid_from <= motion.standstill(motion.stop(1.0))
-    return np.where(found.counts & in_time, bound.terms(1.0).required, -1.0)
+    return np.where(found.counts & in_time, reach, -1.0)

@@ -7,11 +7,12 @@ of where something may be, so S_h grows only from the end of their validity on. 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.arm.checker import Approaches
 from twin_node.arm.errors import ArmError
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.stopping import Stop, StoppingTable
@@ -147,8 +148,12 @@ class Hazards:
     """[n] ns; for ever where a later layer takes over."""
     as_seen: Bool
     """[n] True for what moved where it was seen, beside a forecast of it: the second proof."""
+    begins_with: Bool
+    """[n] True for what the forecast of what moves begins with: its first layer."""
+    begins: int
+    """When the forecast begins, ns."""
     reaches: Reaches | None
-    """How far the forecast lets that get; None where it does not say."""
+    """How far the forecast lets what was seen get; None where it does not say."""
 
     def gone(self, stamp: int) -> Float64:
         """How far [n] obstacles may be from where they are valid by a time (ns), m: at v_h, or less by the forecast."""
@@ -163,7 +168,7 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
 
     What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
     its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen. What the first layer
-    holds is there before that begins: a forecast begins when it is expected to be read, at times after it is.
+    holds may be there before that begins: a forecast begins when it is expected to be read, at times after it is.
     """
     source, kinds = obstacles.source, obstacles.kinds
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
@@ -177,16 +182,17 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     as_seen = source.as_seen & ~in_last_layer
     counts = (source.valid_to >= stamp) | in_last_layer | as_seen
     counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
+    is_first = source.valid_from <= source.begins + _SAME_LAYER_NS
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
         moves=np.asarray(kinds == ObstacleKind.MOVING),
         speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
-        valid_from=np.where(
-            source.valid_from <= source.begins + _SAME_LAYER_NS, np.minimum(source.valid_from, stamp), source.valid_from
-        ),
+        valid_from=np.where(is_first, np.minimum(source.valid_from, stamp), source.valid_from),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
+        begins_with=np.asarray(kinds == ObstacleKind.MOVING) & ~as_seen & is_first,
+        begins=source.begins,
         reaches=_reaches(obstacles),
     )
 
@@ -199,11 +205,30 @@ def _reaches(obstacles: ObstacleSet) -> Reaches | None:
     return Reaches(source.reach_speeds, source.reach_delays, source.stamp, source.begins, ends)
 
 
+class Proof(IntEnum):
+    """What a pair speaks of: for a capsule the law is to hold by the forecast or by sight."""
+
+    EVERY = 0
+    """Both: what stands, and what is unknown."""
+    FORECAST = 1
+    """By the forecast: its layers."""
+    SIGHT = 2
+    """By sight: what was seen, until the arm stands."""
+    SEEN_BEFORE = 3
+    """By the forecast, which tells nothing of the time until it begins: what was seen, as far as it gets by then. Plain
+    clearance is kept meanwhile: most of that time is over when the arm obeys."""
+    FIRST_BEFORE = 4
+    """The same from the other end: the first layer, and how far from it what is in it by then may be now. For a capsule
+    one of the two is enough."""
+
+
 @dataclass(frozen=True)
 class Encounter:
     """Pairs of capsules and obstacles, and the motion that the law is applied to."""
 
     hazards: Hazards
+    proofs: NDArray[np.int64]
+    """[p] values of `Proof`."""
     capsules: NDArray[np.int64]
     """[p] each pair's capsule."""
     rows: NDArray[np.int64]
@@ -215,19 +240,43 @@ class Encounter:
     motion: ArmMotion
     parameters: SeparationParameters
 
+    @staticmethod
+    def of(
+        hazards: Hazards, pairs: Approaches, closing: Float64, motion: ArmMotion, parameters: SeparationParameters
+    ) -> Encounter:
+        """What is to be looked at of pairs that come closer at speeds `closing` [p] (m/s) by the arm's own motion."""
+        rows = pairs.obstacles
+        proofs = np.where(hazards.as_seen, Proof.SIGHT, np.where(hazards.moves, Proof.FORECAST, Proof.EVERY))[rows]
+        seen, first = np.zeros((2, 0), np.int64)
+        if hazards.begins > motion.stamp:
+            seen, first = np.flatnonzero(hazards.as_seen[rows]), np.flatnonzero(hazards.begins_with[rows])
+        of = np.concatenate([np.arange(len(rows)), seen, first])
+        again = np.repeat([Proof.SEEN_BEFORE, Proof.FIRST_BEFORE], [len(seen), len(first)])
+        return Encounter(
+            hazards,
+            np.concatenate([proofs, again]),
+            pairs.capsules[of],
+            rows[of],
+            pairs.distances[0, of],
+            closing[of],
+            motion,
+            parameters,
+        )
+
     def terms(self, share: float) -> Terms:
         """The law's terms at a share (0 to 1) of the arm's speed."""
         return self._terms(share, self.motion.stop(share))
 
     def _terms(self, share: float, stop: Stop) -> Terms:
         """The terms at a share of the speed whose stop is known."""
-        still = self.hazards.keeps_still[self.rows]
-        law = self.parameters
+        still, law = self.hazards.keeps_still[self.rows], self.parameters
+        closing, reaction_s = share * self.closing, self.motion.reaction_s
+        left_s = np.array([np.inf, np.inf, np.inf, self._until_begin_s, 0.0])[self.proofs]
         return Terms(
-            human=np.where(still, 0.0, self.hazards.gone(self.motion.standstill(stop))[self.rows]),
-            reaction=share * self.closing * self.motion.reaction_s,
-            stopping=share * self.closing * stop.travel_s,
-            intrusion=np.where(still, law.clearance_m, law.intrusion_m),
+            human=np.where(still, 0.0, self._gone(self.motion.standstill(stop))),
+            reaction=closing * np.minimum(left_s, reaction_s),
+            stopping=closing * np.clip(left_s - reaction_s, 0.0, stop.travel_s),
+            intrusion=np.where(still | (self.proofs >= Proof.SEEN_BEFORE), law.clearance_m, law.intrusion_m),
             uncertainty=np.full(len(self.rows), law.position_error_m),
         )
 
@@ -237,18 +286,18 @@ class Encounter:
         Minus infinity for pairs that need not be looked at: the law holds for a capsule where it holds against the
         forecast of what moves, or against what was seen to move and may have gone anywhere since at the law's speed,
         as far as its forecast lets it. Either proves that nothing that moves touches it: the one that leaves more
-        counts.
+        counts. So does the better of two ways to tell where what is forecast was before.
         """
         alone = self._alone(share)
+        worst = np.full((len(Proof), int(self.capsules.max(initial=0)) + 1), -np.inf)
+        np.maximum.at(worst, (self.proofs, self.capsules), alone)
         if not self.hazards.as_seen.any():
-            return alone
-        as_seen = self.hazards.as_seen[self.rows]
-        forecast = self.hazards.moves[self.rows] & ~as_seen
-        worst = np.full((2, int(self.capsules.max(initial=0)) + 1), -np.inf)
-        for proof, pairs in zip(worst, (forecast, as_seen), strict=True):
-            np.maximum.at(proof, self.capsules[pairs], alone[pairs])
-        by_sight = (worst[1] < worst[0])[self.capsules]
-        return np.where(np.where(by_sight, forecast, as_seen), -np.inf, alone)
+            worst[[Proof.SIGHT, Proof.SEEN_BEFORE]] = np.inf  # nobody says where it was
+        by_layer = worst[Proof.FIRST_BEFORE] < worst[Proof.SEEN_BEFORE]
+        before = np.minimum(worst[Proof.FIRST_BEFORE], worst[Proof.SEEN_BEFORE])
+        by_sight = worst[Proof.SIGHT] < np.maximum(worst[Proof.FORECAST], before)
+        kept = np.stack([np.ones_like(by_sight), ~by_sight, by_sight, ~by_sight & ~by_layer, ~by_sight & by_layer])
+        return np.where(kept[self.proofs, self.capsules], alone, -np.inf)
 
     def _alone(self, share: float) -> Float64:
         """Shortfalls [p] of the pairs, each by itself, m.
@@ -260,11 +309,23 @@ class Encounter:
         stop = self.motion.stop(share)
         standstill = self.motion.standstill(stop)
         terms = self._terms(share, stop)
-        touches = self._within_touch + np.where(self.hazards.as_seen, self.hazards.gone(standstill), 0.0)[self.rows]
+        touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, 0.0)
         touching = self.hazards.moves[self.rows] & (self.distances < touches)
         closes = self.closing > self.parameters.closing_speed
         concerned = (closes | touching) & (self.hazards.valid_from[self.rows] <= standstill)
         return np.where(concerned, terms.required - self.distances, -np.inf)
+
+    def _gone(self, standstill: int) -> Float64:
+        """How far [p] obstacles may be from where they are valid by a standstill (ns), or before the forecast, m."""
+        gone = self.hazards.gone(standstill)
+        by_begin = self.hazards.gone(min(standstill, self.hazards.begins))
+        before_layer = self.hazards.speeds * self._until_begin_s
+        return np.stack([gone, gone, gone, by_begin, before_layer])[self.proofs, self.rows]
+
+    @property
+    def _until_begin_s(self) -> float:
+        """Time from now until the forecast begins, s."""
+        return max(self.hazards.begins - self.motion.stamp, 0) * 1e-9
 
     @property
     def _within_touch(self) -> float:
