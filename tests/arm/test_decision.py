@@ -17,16 +17,18 @@ from twin_node.arm import (
     ArmCollisionChecker,
     ArmError,
     SeparationParameters,
+    StoppingTable,
     UnknownPolicy,
     decide,
     extrapolate,
     stopping_table,
 )
 from twin_node.arm.separation import ArmMotion, Encounter, hazards
-from twin_node.robot import forward_kinematics, ur_model
+from twin_node.arm.ur import servo_stopping
+from twin_node.robot import RobotError, forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.robot.ur import JOINT_NAMES
-from twin_node.scene import NO_EVIDENCE, JointPath, ObstacleKind, ObstacleShape
+from twin_node.scene import NO_EVIDENCE, JointPath, JointSample, ObstacleKind, ObstacleShape
 
 
 def test_terms_add_up_to_the_law(ur5e_checker: ArmCollisionChecker) -> None:
@@ -351,6 +353,42 @@ def test_what_a_forecast_holds_first_is_there_before_it_begins(
         found = decided(ur5e_checker, later, seen, velocity=velocity)
         assert found.speed_fraction <= expected.speed_fraction + 0.2
         assert (found.reason, found.distance) == (expected.reason, pytest.approx(expected.distance, abs=1e-6))
+
+
+def test_an_arm_that_still_brakes_is_faster_than_it_is_told(ur5e_checker: ArmCollisionChecker) -> None:
+    """It counted as if it were as fast as that already, and came 2 cm nearer to furniture than it should."""
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.16, kind=ObstacleKind.STATIC)))
+    late = servo_stopping(ur5e_checker.model, stopping_table("ur5e"))
+
+    def told(going: float | None) -> float:
+        joints = None if going is None else JointSample(NOW, JOINT_NAMES[::-1], READY[::-1], going * TURNING[::-1])
+        return decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, table=late, joints=joints).speed_fraction
+
+    free = told(None)
+    assert 0.4 < free < 0.9
+    assert told(0.0) == told(free) == free  # it gets no faster than it is let
+    shares = [told(going) for going in (free, 0.85, 0.9, 1.0, 1.5)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[3] < free - 0.1
+    assert shares[4] == 0.0
+    with pytest.raises(RobotError, match="shoulder_pan_joint"):
+        decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, joints=JointSample(NOW, ("a",), np.zeros(1), np.zeros(1)))
+
+
+@given(going=st.floats(0.0, 1.5), share=st.floats(0.0, 1.0), reaction_s=st.floats(0.0, 0.5))
+@settings(max_examples=50, deadline=None)
+def test_the_course_of_an_arm_that_brakes_is_that_of_its_steps(going: float, share: float, reaction_s: float) -> None:
+    """Against an arm that slows by 4 rad/s^2, step by step."""
+    speeds = np.array([0.01, 3.0])
+    steady = StoppingTable(speeds, np.tile(speeds[:, None] / 4, 6), np.tile(speeds[:, None] ** 2 / 8, 6))
+    course = ArmMotion(NOW, reaction_s, TURNING, steady, going).course(share)
+    now, way, passed_s, step_s = max(going, share), 0.0, 0.0, 1e-3
+    while now > 0 or passed_s < reaction_s:
+        before, target = now, share if passed_s < reaction_s else 0.0
+        now = max(now - 4 * step_s, target)
+        way, passed_s = way + (before + now) / 2 * step_s, passed_s + step_s
+    assert course.steady_s + course.braking_s == pytest.approx(way, abs=3e-3)
+    assert course.duration_s == pytest.approx(passed_s, abs=5e-3)
 
 
 def test_without_any_forecast_the_arm_stands() -> None:

@@ -18,10 +18,10 @@ from twin_node.nodes import arm as arm_node
 from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION
-from twin_node.robot import ur_model
+from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import JointSample
+from twin_node.scene import JointSample, ObstacleKind
 
 PARAMETERS = ArmParameters("ur5e")
 COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
@@ -32,9 +32,9 @@ def reactions(gaps_ms: list[int], monkeypatch: pytest.MonkeyPatch) -> list[float
     used: list[float] = []
     decide = arm_node.decide
 
-    def watch(checker: Any, path: Any, stamp: int, reaction_s: float, parameters: Any, table: Any) -> Any:
+    def watch(checker: Any, path: Any, stamp: int, reaction_s: float, *given: Any) -> Any:
         used.append(reaction_s)
-        return decide(checker, path, stamp, reaction_s, parameters, table)
+        return decide(checker, path, stamp, reaction_s, *given)
 
     monkeypatch.setattr(arm_node, "decide", watch)
     arm = ur_model("ur5e")
@@ -306,6 +306,21 @@ def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:
     cell.path(begins_ms=0, lasts_ms=4000)
     cell.somebody()
     assert [d.level for d in cell.node.diagnoses()[:1]] == [convert.Level.OK]
+
+
+def test_an_arm_that_still_brakes_is_known_to() -> None:
+    """Its joints say so; a log's arm, which heard nobody, does not brake."""
+    told, beside = {}, forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.2, 0.0])
+    for timers in (Timers(), None):
+        for speed in (0.0, 1.0):
+            cell = Cell(timers, servoed=True)
+            for _ in range(40):
+                cell.wait(30)
+                cell.path(0, 200)
+                cell.joints(qd=speed * TURNING)
+                told[timers is None, speed] = cell.somebody(kind=ObstacleKind.STATIC, at=beside).speed_fraction
+    assert told[False, 1.0] < told[False, 0.0] - 0.1
+    assert told[True, 1.0] == told[True, 0.0] == told[False, 0.0] > 0
 
 
 def test_a_path_without_a_stamp_begins_when_it_comes() -> None:

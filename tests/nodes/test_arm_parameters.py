@@ -82,13 +82,15 @@ def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object)
     cell = Cell()
     setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
     make_arm(setup).configure()
-    shares = [0.0]
+    share, shares = 1.0, []
     for endpoint in (None, None, *endpoints):
         here[:] = [] if endpoint is None else [endpoint]
-        cell.wait(32)
-        cell.joints(qd=TURNING * (shares[-1] or 1.0))
-        shares.append(cell.somebody().speed_fraction)
-    return shares[2:]  # the first decision finds a limiter that has just begun
+        for _ in range(12):  # until it is no faster than it is told, and that has been so for a while
+            cell.wait(32)
+            cell.joints(qd=TURNING * share)
+            share = cell.somebody().speed_fraction
+        shares.append(share)
+    return shares[1:]  # the first decision finds a limiter that has just begun
 
 
 def endpoint(node: str, topic: str = FOLLOW, kind: EntityKind = EntityKind.SUBSCRIBER) -> Endpoint:

@@ -12,13 +12,16 @@ from twin_node.arm.limiter import standing
 from twin_node.arm.separation import ArmMotion, Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import forward_kinematics, place_capsules
-from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, ObstacleKind, Separation
+from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, JointSample, ObstacleKind, Separation
 
 _POSES = 5
 """Poses along the next 200 ms from which closing speeds are taken, at least: the forecast's own horizons."""
 _STRIDE_M = 0.05
 """No point of the arm goes farther from one of these poses to the next, m, where the path is told so finely: what it
 passes between them is nearer than at both by some 7 mm at most, as deep as an arc of a wrist's radius bends so far."""
+
+_SLIGHT = 0.2
+"""What is slower than this share of the fastest joint tells by its noise nothing of the arm's speed."""
 
 
 def decide(
@@ -28,16 +31,18 @@ def decide(
     reaction_s: float,
     parameters: SeparationParameters | None = None,
     table: StoppingTable | None = None,
+    joints: JointSample | None = None,
 ) -> Separation:
     """Speed that the separation law leaves an arm now (ns) that means to follow a path ahead, at its full speed.
 
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it; one that does not is refused.
     `reaction_s` is the measured time from now until the arm begins to brake. `table` is the arm's stopping data, by
-    default those of its name. The pair that falls most short at full speed decides and is named: its distance and
-    closing speed are from the arm's present pose to where the obstacles will be. `distance` is the smallest of any pair
-    along the path. An arm whose checker was never given obstacles stands; how old evidence may be (`evidence_stamp`),
-    `SpeedLimiter` and the driver judge. Raises `ArmError` or `RobotError` for a wrong path or time, a time of another
-    clock than the obstacles', and for the table of another arm.
+    default those of its name. `joints`, as measured now, tell of an arm that still brakes and is faster than it was
+    told; without them it is taken to be as fast as that. The pair that falls most short at full speed decides and is
+    named: its distance and closing speed are from the arm's present pose to where the obstacles will be. `distance` is
+    the smallest of any pair along the path. An arm whose checker was never given obstacles stands; how old evidence may
+    be (`evidence_stamp`), `SpeedLimiter` and the driver judge. Raises `ArmError` or `RobotError` for a wrong path or
+    time, a time of another clock than the obstacles', and for the table or the joints of another arm.
     """
     law = parameters or SeparationParameters()
     _refuse_wrong(path, stamp, reaction_s)
@@ -49,13 +54,14 @@ def decide(
     seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
-    motion = ArmMotion(stamp, reaction_s, _fastest(positions, seconds), stopping)
+    fastest = _fastest(positions, seconds)
+    motion = ArmMotion(stamp, reaction_s, fastest, stopping, _going(checker, joints, fastest))
     closest = checker.closest(positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as they are last
     steps = _steps(checker, positions)
     poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
     picked = np.unique(np.linspace(0, len(seconds) - 1, poses).round().astype(np.int64))
-    fastest = float((steps / np.diff(seconds)).max(initial=0.0))
-    pairs = checker.approaches(positions[picked], _reach(found, motion, law, fastest))
+    speed = float((steps / np.diff(seconds)).max(initial=0.0))
+    pairs = checker.approaches(positions[picked], _reach(found, motion, law, speed))
     closing = _closing(pairs, seconds[picked])
     return _settle(checker, closest, Encounter.of(found, pairs, closing, motion, law))
 
@@ -132,6 +138,14 @@ def _fastest(positions: Float64, seconds: Float64) -> Float64:
     return fastest
 
 
+def _going(checker: ArmCollisionChecker, joints: JointSample | None, fastest: Float64) -> float:
+    """Share of its fastest speeds [J] (rad/s) at which an arm goes; 0 where nobody has measured it, or it has none."""
+    if joints is None or not fastest.any():
+        return 0.0
+    speeds = np.abs(checker.model.check_positions(checker.model.order(joints.names, joints.velocities)))
+    return float((speeds / np.maximum(fastest, _SLIGHT * fastest.max())).max())
+
+
 def _closing(pairs: Approaches, seconds: Float64) -> Float64:
     """Speeds [p] at which pairs come closer by the arm's own motion: the fastest mean from now to any pose, m/s."""
     if len(seconds) < 2:
@@ -158,5 +172,5 @@ def _reach(found: Hazards, motion: ArmMotion, law: SeparationParameters, fastest
     bound = Encounter.of(found, all_pairs, np.full(len(rows), fastest), motion, law)
     reach = np.zeros(len(rows))
     np.maximum.at(reach, bound.rows, bound.terms(1.0).required)
-    in_time = found.valid_from <= motion.standstill(motion.stop(1.0))
+    in_time = found.valid_from <= motion.standstill(motion.course(1.0))
     return np.where(found.counts & in_time, reach, -1.0)

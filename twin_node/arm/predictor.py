@@ -117,6 +117,11 @@ class ArmPredictor:
         self._joints = JointSample(sample.stamp, self._model.joint_names, positions, velocities)
         self._intended = self._programmed.seen(velocities, share, sample.stamp)
 
+    def joints(self, now: int) -> JointSample | None:
+        """The newest joints, where they are fresh by now (ns)."""
+        is_fresh = self._joints is not None and abs(now - self._joints.stamp) <= self._lasting_ns
+        return self._joints if is_fresh else None
+
     def ahead(self, stamp: int, now: int) -> JointPath:
         """The arm's next 200 ms from a time on (ns), as it is known by now (ns).
 
@@ -161,8 +166,8 @@ class ArmPredictor:
 
         So too where the joints are old, or much older than the path.
         """
-        joints = self._joints
-        if joints is None or abs(now - joints.stamp) > self._lasting_ns or path.stamps[0] - joints.stamp > _LAG_NS:
+        joints = self.joints(now)
+        if joints is None or path.stamps[0] - joints.stamp > _LAG_NS:
             return None
         before_s = max(int(path.stamps[0]) - joints.stamp, 0) * 1e-9
         q = joints.positions + before_s * joints.velocities

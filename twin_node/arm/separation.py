@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,14 +99,41 @@ class ArmMotion:
     joint_speeds: Float64
     """[J] largest over the next 200 ms, rad/s."""
     table: StoppingTable
+    going: float = 0.0
+    """Share of that speed at which the arm goes now; where it still brakes, more than it is told."""
 
-    def stop(self, share: float) -> Stop:
-        """The stop from a share (0 to 1) of the speed."""
-        return self.table.stop(share * self.joint_speeds)
+    @cached_property
+    def _stop_now(self) -> Stop:
+        return self.table.stop(self.going * self.joint_speeds)
 
-    def standstill(self, stop: Stop) -> int:
-        """When the arm stands if it is told to stop now, ns."""
-        return self.stamp + round((self.reaction_s + stop.duration_s) * 1e9)
+    def course(self, share: float) -> Course:
+        """What it does if it is told a share (0 to 1) of the speed now, and nothing when the reaction time is over.
+
+        One that is faster brakes meanwhile. If it gets to its share in time, it goes on at that until it is told.
+        """
+        stop = self.table.stop(share * self.joint_speeds)
+        if share >= self.going:
+            return Course(share * self.reaction_s, share * stop.travel_s, self.reaction_s + stop.duration_s)
+        way_s = self.going * self._stop_now.travel_s
+        braking_s = 2 * (way_s - share * stop.travel_s) / (self.going + share)  # steadily, until it is no faster
+        left_s = max(self.reaction_s - braking_s, 0.0)
+        return Course(share * left_s, way_s, left_s + self._stop_now.duration_s)
+
+    def standstill(self, course: Course) -> int:
+        """When the arm then stands, ns."""
+        return self.stamp + round(course.duration_s * 1e9)
+
+
+@dataclass(frozen=True)
+class Course:
+    """How an arm comes to a standstill; ways are times at its full speed: metres per m/s."""
+
+    steady_s: float
+    """Way until it is told to stop, s."""
+    braking_s: float
+    """Way that it brakes on, s."""
+    duration_s: float
+    """From now until it stands, s."""
 
 
 @dataclass(frozen=True)
@@ -265,17 +293,16 @@ class Encounter:
 
     def terms(self, share: float) -> Terms:
         """The law's terms at a share (0 to 1) of the arm's speed."""
-        return self._terms(share, self.motion.stop(share))
+        return self._terms(self.motion.course(share))
 
-    def _terms(self, share: float, stop: Stop) -> Terms:
-        """The terms at a share of the speed whose stop is known."""
+    def _terms(self, course: Course) -> Terms:
+        """The terms for what the arm does."""
         still, law = self.hazards.keeps_still[self.rows], self.parameters
-        closing, reaction_s = share * self.closing, self.motion.reaction_s
         left_s = np.array([np.inf, np.inf, np.inf, self._until_begin_s, 0.0])[self.proofs]
         return Terms(
-            human=np.where(still, 0.0, self._gone(self.motion.standstill(stop))),
-            reaction=closing * np.minimum(left_s, reaction_s),
-            stopping=closing * np.clip(left_s - reaction_s, 0.0, stop.travel_s),
+            human=np.where(still, 0.0, self._gone(self.motion.standstill(course))),
+            reaction=self.closing * np.minimum(left_s, course.steady_s),
+            stopping=self.closing * np.clip(left_s - course.steady_s, 0.0, course.braking_s),
             intrusion=np.where(still | (self.proofs >= Proof.SEEN_BEFORE), law.clearance_m, law.intrusion_m),
             uncertainty=np.full(len(self.rows), law.position_error_m),
         )
@@ -306,9 +333,9 @@ class Encounter:
         close, unless something that moves may touch it: whoever overtakes an arm that leaves is to find it standing.
         A forecast tells where that is until then; what was seen may have come from there until the arm stands.
         """
-        stop = self.motion.stop(share)
-        standstill = self.motion.standstill(stop)
-        terms = self._terms(share, stop)
+        course = self.motion.course(share)
+        standstill = self.motion.standstill(course)
+        terms = self._terms(course)
         touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, 0.0)
         touching = self.hazards.moves[self.rows] & (self.distances < touches)
         closes = self.closing > self.parameters.closing_speed

@@ -109,5 +109,6 @@ def _decide(
     limiter: SpeedLimiter,
     parameters: LoopParameters,
 ) -> Separation:
-    decision = decide(checker, program.ahead(), program.now, parameters.reaction_s, parameters.separation, table)
+    ahead, law = program.ahead(), parameters.separation
+    decision = decide(checker, ahead, program.now, parameters.reaction_s, law, table, program.joints)
     return limiter.decide(decision, program.now)

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.arm import CyclicPath, StoppingTable, sample_path
 from twin_node.arm.path import AHEAD_NS
-from twin_node.scene import Float64, JointPath
+from twin_node.scene import Float64, JointPath, JointSample
 
 _DIFFERENCE_NS = 8_000_000
 """Step of the difference that gives joint speeds: one sample of the path."""
@@ -40,6 +40,11 @@ class RunningProgram:
     def q(self) -> Float64:
         """Joint angles [J], rad."""
         return self.cycle.at(round(self.phase_ns))
+
+    @property
+    def joints(self) -> JointSample:
+        """What is measured of it now."""
+        return JointSample(self.now, self.cycle.template.names, self.q, self.share * self.speeds())
 
     def ahead(self) -> JointPath:
         """The next 200 ms at the program's full speed."""

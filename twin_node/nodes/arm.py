@@ -223,7 +223,8 @@ class ArmNode(Node):
                 self._outside = now, out_m
         is_servoed = self._parameters.servoed or driving is Driving.SERVOED
         table = self._servo_stop if is_servoed else self._own_stop
-        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table)
+        measured = self._arm.joints(now) if self._is_live else None  # a log's arm brakes for nobody
+        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table, measured)
 
     def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
