@@ -18,7 +18,7 @@ class Arm:
     """An arm that obeys its share within a package."""
 
     def __init__(self) -> None:
-        self.programmed = ProgrammedVelocity(0.05)
+        self.programmed = ProgrammedVelocity(0.05, np.full(6, 3.14))
         self.now = NOW
 
     def run(self, packages: int, share: float, program: Float64) -> Float64:
@@ -47,6 +47,13 @@ def test_an_arm_that_brakes_for_a_second_still_means_to_go_on_as_fast() -> None:
         arm.now += PACKAGE_NS
         seen = arm.programmed.seen((1 - package / 150) * THERE, 0.0, arm.now)
     np.testing.assert_allclose(seen, THERE)
+
+
+def test_no_program_is_faster_than_the_arm_unless_the_arm_is() -> None:
+    """Noise of an arm that hardly moves would count twenty times."""
+    arm = Arm()
+    np.testing.assert_allclose(arm.run(1, 0.1, 10 * THERE), 3.14 * THERE)
+    np.testing.assert_allclose(arm.run(100, 1.0, 5 * THERE), 5 * THERE)
 
 
 @pytest.mark.parametrize("back_ns", [500_000_000, MINUTE_NS])

@@ -190,6 +190,29 @@ def test_what_else_a_file_holds_does_not_take_the_arms_shapes_away(tmp_path: Pat
     np.testing.assert_allclose(arm_model(path).capsules.radii, [0.1])
 
 
+def _urdf(*limits: str) -> str:
+    links = "".join(
+        f'<link name="l{k}"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+        for k in range(len(limits) + 1)
+    )
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="0 0 0.05"/>'
+        f'<axis xyz="0 1 0"/>{limit}</joint>'
+        for k, limit in enumerate(limits)
+    )
+    drives = '<transmission name="t"><joint name="j0"/></transmission>'
+    return f'<robot name="r" drake:v="1">{links}{joints}{drives}</robot>'  # nobody has declared the prefix
+
+
+def test_a_urdf_rates_its_joints_unless_it_gives_a_placeholder(tmp_path: Path) -> None:
+    """All were rated 15 rad/s: servo mode took a trajectory that its arm cannot follow."""
+    given = ('velocity="3.14"', 'velocity="0"', 'velocity="1e6"', 'velocity="fast"', 'velocity="-1"', "")
+    limits = [f'<limit lower="-2" upper="2" effort="1" {rating}/>' for rating in given]
+    (tmp_path / "arm.urdf").write_text(_urdf(*limits))
+    np.testing.assert_array_equal(load_arm(tmp_path / "arm.urdf").max_velocity, [3.14, 15, 15, 15, 15, 15])
+    assert (load_arm(find("sim/ur5e.xml")).max_velocity == 15).all()
+
+
 GRIPPED = """<mujoco><worldbody><body name="a"><geom size=".05"/>
   <body name="b"><joint name="shoulder" axis="0 1 0"/><geom size=".05"/>
     <body name="c" pos="0 0 .3"><joint name="elbow" axis="0 1 0"/><geom size=".05"/>

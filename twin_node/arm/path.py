@@ -63,8 +63,9 @@ def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
 def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floating], stamp: int) -> JointPath:
     """The next 200 ms from a time on (ns) of an arm at angles [J] (rad) that keeps its velocities [J] (rad/s).
 
-    Both are in the model's order, measured or the controller's targets. Velocities are cut at the model's limits, and
-    joints stop at the ends of their range. Raises `RobotError` for a wrong count or values that are not finite.
+    Both are in the model's order, measured or the controller's targets, and joints stop at the ends of their range. No
+    velocity is too high to be believed: ratings of an arm's file may be made up. Raises `RobotError` for a wrong count
+    or values that are not finite.
     """
     start = model.check_positions(q)
     offsets = ahead_offsets()
@@ -75,7 +76,7 @@ def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floatin
 def path_from_sample(model: ArmModel, sample: JointSample, stamp: int) -> JointPath:
     """The next 200 ms from a time on (ns) of an arm that has kept, and keeps, the velocities of a sample.
 
-    The sample's joints may be in any order; limits hold since the sample as `extrapolate` has them. Raises `RobotError`
+    The sample's joints may be in any order; ranges hold since the sample as `extrapolate` has them. Raises `RobotError`
     where a joint is missing or a value is not finite, and `ArmError` for a sample that is more than a second from that
     time, or by another clock: of where the arm is it tells nothing.
     """
@@ -99,11 +100,10 @@ def gone_since(model: ArmModel, sample: JointSample, stamp: int) -> Float64:
 
 
 def kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
-    """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's limits.
+    """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's ranges.
 
     A joint that is beyond its range already comes no further.
     """
-    limited = np.clip(velocities, -model.max_velocity, model.max_velocity)
     lower, upper = np.minimum(model.lower, start), np.maximum(model.upper, start)
-    kept: Float64 = np.clip(start + limited * seconds[:, None], lower, upper)
+    kept: Float64 = np.clip(start + velocities * seconds[:, None], lower, upper)
     return kept

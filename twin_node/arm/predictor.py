@@ -48,7 +48,7 @@ class ArmPredictor:
         self._joints: JointSample | None = None
         self._intended = np.zeros(model.joints)
         """Velocities [J] of its program at full speed, rad/s."""
-        self._programmed = ProgrammedVelocity(_LEAST_SHARE)
+        self._programmed = ProgrammedVelocity(_LEAST_SHARE, model.max_velocity)
         self._other: JointSample | None = None
         self._refused: str | None = None
 
@@ -184,7 +184,7 @@ def _turned(start: Float64, end: Float64) -> Float64:
 
 
 def _gone_on(model: ArmModel, path: JointPath) -> JointPath:
-    """A path whose joints keep the velocities that they have at its end, within the arm's limits."""
+    """A path whose joints keep the velocities that they have at its end, within the arm's ranges."""
     if len(path.stamps) < 2:
         return path
     *_, before, last = path.positions

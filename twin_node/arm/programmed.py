@@ -26,9 +26,13 @@ class ProgrammedVelocity:
     arm that was stopped for somebody still means to go on.
     """
 
-    def __init__(self, least_share: float) -> None:
-        """`least_share`: below it velocities tell nothing of the program."""
+    def __init__(self, least_share: float, ratings: Float64) -> None:
+        """`least_share`: below it velocities tell nothing of the program.
+
+        `ratings` [J] (rad/s): no program is faster, unless the arm itself was measured to be.
+        """
         self._least_share = least_share
+        self._ratings = ratings
         self._known: Float64 | None = None
         self._share = 0.0
         self._fell = 0
@@ -57,7 +61,8 @@ class ProgrammedVelocity:
         is_braking = self._known is not None and stamp - min(self._fell, self._learnt) < _BRAKING_NS
         begins = self._known is None and share > 0 and np.abs(velocities).max() > _BEGINS
         if begins or (share > self._least_share and not is_braking):
-            self._learn(velocities / share, share, stamp)
+            fastest = np.maximum(self._ratings, np.abs(velocities))
+            self._learn(np.clip(velocities / share, -fastest, fastest), share, stamp)
         elif stamp - self._fell > _STOPPED_NS and np.abs(velocities).max() > _STANDS:
             self._known, self._learnt = velocities, stamp
         return self.recalled(velocities)

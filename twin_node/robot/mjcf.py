@@ -6,8 +6,11 @@ The shipped files are made from the DH parameters by `write_mjcf(ur_model(name))
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from xml.dom import expatbuilder
+from xml.parsers.expat import ExpatError
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -20,7 +23,7 @@ from twin_node.robot.model import ArmModel, Capsules, RobotError
 from twin_node.scene import Float64
 
 _MAX_VELOCITY = 15.0
-"""rad/s: MuJoCo reads no ratings. The fastest wrists of industrial arms reach it, so that no measured speed is cut."""
+"""rad/s, for joints of which the file gives no rating: the fastest wrists of industrial arms reach it."""
 _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 _CAPSULES_PER_MESH = 2
@@ -69,7 +72,8 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
     gripper's): those stay where the file puts them, so none may carry one of the arm's. Geoms that take part in no
-    contact (visuals) are left out of a moving body that has others; MuJoCo reads none from a URDF. Raises `RobotError`
+    contact (visuals) are left out of a moving body that has others; MuJoCo reads none from a URDF. A URDF's velocity
+    limits are the joints' ratings; where there is none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError`
     for a file that MuJoCo does not read, for joints that are no chain of hinges or hang on others, and for an arm, or a
     long link of it, without shapes: nothing would ever be near it.
     """
@@ -104,7 +108,7 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
         origins=origins,
         lower=lower,
         upper=upper,
-        max_velocity=np.full(len(joints), _MAX_VELOCITY),
+        max_velocity=_ratings(path, [engine.joint(joint).name for joint in joints]),
         max_acceleration=np.full(len(joints), _MAX_ACCELERATION),
         capsules=capsules,
     )
@@ -156,6 +160,28 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
             "nobody would follow; name it too, or take it out of the file where it never moves"
         )
     return joints
+
+
+def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
+    """Velocities [J] (rad/s) that a URDF rates its joints at; what many files give in place of one is none."""
+    told = {}
+    with suppress(ExpatError):  # MuJoCo reads more than is XML: who writes such a file gives no ratings
+        robot: Any = expatbuilder.parse(str(path), namespaces=False).documentElement  # prefixes are often undeclared
+        for joint in _children(robot, "joint") if robot.tagName == "robot" else ():
+            told[joint.getAttribute("name")] = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
+    return np.array([_rating(*told.get(name, [])[:1]) for name in names])
+
+
+def _children(element: Any, tag: str) -> list[Any]:
+    return [child for child in element.childNodes if child.nodeName == tag]
+
+
+def _rating(text: str = "") -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        return _MAX_VELOCITY
+    return value if 0 < value <= _MAX_VELOCITY else _MAX_VELOCITY
 
 
 def _refuse_bare_links(path: str | Path, names: Sequence[str], origins: Float64, capsules: Capsules) -> None:

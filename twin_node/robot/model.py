@@ -62,7 +62,7 @@ class ArmModel:
     upper: Float64
     """[J] rad."""
     max_velocity: Float64
-    """[J] rad/s."""
+    """[J] ratings, rad/s: what no plan may exceed. An arm's file may give less than the arm does."""
     max_acceleration: Float64
     """[J] rad/s^2."""
     capsules: Capsules

@@ -17,7 +17,7 @@ class Foresight:
 
     def __init__(self, model: ArmModel) -> None:
         self._model = model
-        self._programmed = ProgrammedVelocity(_LEAST_SHARE)
+        self._programmed = ProgrammedVelocity(_LEAST_SHARE, model.max_velocity)
 
     @property
     def is_known(self) -> bool:
