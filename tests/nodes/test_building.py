@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from twin_node.messages import convert, message_type
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import kind_of
 from twin_node.rig.cameras import CameraImage, SynchronizedSource
-from twin_node.robot import ur_model
+from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
@@ -24,6 +26,9 @@ from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import FrameSet, JointSample, ObstacleKind, Obstacles, ObstacleShape, Rig, RigCamera
 
+ARM = ur_model("ur5e")
+READY = np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0])
+TURNING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "building.md"
 NOW = 1_700_000_000_000_000_000
 
@@ -90,9 +95,25 @@ class WithJoints(SynchronizedSource):
     """Knows where the arm is, as if another thread had told."""
 
     def __iter__(self) -> Iterator[FrameSet]:
-        names = ur_model("ur5e").joint_names
-        self.add_joints(JointSample(NOW, names, np.array([0.0, -1.5, 1.5, -1.5, -1.57, 0.0]), np.zeros(6)))
+        self.add_joints(JointSample(NOW, ARM.joint_names, READY, np.zeros(6)))
         return super().__iter__()
+
+
+class Obeying:
+    """Sets of an arm that means to sweep to its left, and goes as fast as the example lets it."""
+
+    cameras = ()
+
+    def __init__(self, *_: object, **__: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        q = READY
+        for number in range(12):
+            qd = sys.modules["example"].share * TURNING
+            q = q + 0.033 * qd
+            stamp = NOW + 33_000_000 * number
+            yield FrameSet(stamp, (), JointSample(stamp, ARM.joint_names, q, qd))
 
 
 def test_cameras_of_ones_own_without_a_graph(
@@ -106,4 +127,26 @@ def test_cameras_of_ones_own_without_a_graph(
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", WithJoints)
     made = example(monkeypatch, 1, cameras=cameras, rig=rig)
     assert (made.obstacles.kinds == ObstacleKind.MOVING).any()
-    assert re.fullmatch(r"(\d+%: [a-zA-Z ]+\n)+", capsys.readouterr().out)
+    assert re.fullmatch(r"(\d+%, told \d+%: [a-zA-Z ]+\n)+", capsys.readouterr().out)
+
+
+def test_an_arm_that_stands_for_somebody_is_not_let_go_by_the_example(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was judged by the velocity that was measured: an arm that stood closed in on nobody, and went on."""
+    beside = forward_kinematics(ARM, READY)[-1, :3, 3] + [0.0, 0.25, 0.0]
+
+    def somebody(*_: object) -> Obstacles:
+        now = sys.modules["example"].frames.stamp
+        monkeypatch.setattr("time.time_ns", lambda: now)
+        there = replace(box_at(0.0), stamp=now, positions=beside[None], sizes=np.full((1, 3), 0.1))
+        return replace(there, valid_from=np.array([now]), valid_to=np.array([now + 200_000_000]))
+
+    for name in ("rig.cameras.SynchronizedSource", "forecast.cover", "forecast.Forecaster", "model.WindowModel"):
+        monkeypatch.setattr(f"twin_node.{name}", MagicMock())
+    monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", Obeying)
+    monkeypatch.setattr("twin_node.forecast.cover", somebody)
+    example(monkeypatch, 1, cameras=(), rig=Rig((), workspace=np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]])))
+    told = capsys.readouterr().out.splitlines()
+    assert told[1] == "100%, told 4%: not closing in"
+    assert set(told[2:]) == {"0%, told 0%: stopped for MOVING"}
