@@ -102,6 +102,25 @@ def test_retreat_is_not_slowed(ur5e_checker: ArmCollisionChecker) -> None:
     assert decided(ur5e_checker, close, velocity=np.zeros(6)).speed_fraction == 1.0
 
 
+def test_who_overtakes_an_arm_that_stops_late_is_looked_for_until_it_stands(ur5e_checker: ArmCollisionChecker) -> None:
+    """A servoed arm stops in half a second, and a forecast ends before: hands from behind met it at 0.3 m/s."""
+    late = servo_stopping(ur5e_checker.model, stopping_table("ur5e"))
+    draws_back, before_it = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.1, 0.0, -0.1])
+    tool = forward_kinematics(ur5e_checker.model, READY)[-1, :3, 3]
+    after_s = REACTION_S + late.stop(draws_back).duration_s - 0.2
+
+    def share(gap_m: float, speed: float, table: StoppingTable = late) -> float:
+        hand = Thing(tuple(tool + before_it + [gap_m, 0.0, 0.0]), size=(0.1,) * 3, velocity=(-speed, 0.0, 0.0))
+        ur5e_checker.update(obstacles(hand))
+        return decide(ur5e_checker, ahead(draws_back), NOW, REACTION_S, table=table).speed_fraction
+
+    assert after_s > 0.3
+    assert share(0.2, 0.0) == share(0.2, 0.1) == 1.0  # who follows slowly does not get there
+    assert share(0.2, 1.0, stopping_table("ur5e")) == 1.0  # nor does anybody in time
+    assert 0.0 < share(0.2, 2.0) < share(0.2, 1.0) < 0.5
+    assert share(0.2 + after_s, 1.0) == 1.0
+
+
 def test_an_arm_that_creeps_up_to_somebody_stops(ur5e_checker: ArmCollisionChecker) -> None:
     close = beside_the_tool(ur5e_checker, 0.12)
     assert decided(ur5e_checker, close, velocity=0.05 * TURNING).speed_fraction == 0.0

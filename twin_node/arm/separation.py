@@ -168,8 +168,10 @@ class Hazards:
     """[n] True where plain clearance is enough."""
     moves: Bool
     """[n] True where something was seen to move, or may by then."""
+    own_speeds: Float64
+    """[n] m/s."""
     speeds: Float64
-    """[n] v_h, m/s."""
+    """[n] v_h, m/s: their own, and a person's at least."""
     valid_from: NDArray[np.int64]
     """[n] ns."""
     valid_to: NDArray[np.int64]
@@ -210,12 +212,14 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     as_seen = source.as_seen & ~in_last_layer
     counts = (source.valid_to >= stamp) | in_last_layer | as_seen
     counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
+    own_speeds = np.linalg.norm(source.velocities, axis=1)
     is_first = source.valid_from <= source.begins + _SAME_LAYER_NS
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
         moves=np.asarray(kinds == ObstacleKind.MOVING),
-        speeds=np.maximum(np.linalg.norm(source.velocities, axis=1), parameters.human_speed),
+        own_speeds=own_speeds,
+        speeds=np.maximum(own_speeds, parameters.human_speed),
         valid_from=np.where(is_first, np.minimum(source.valid_from, stamp), source.valid_from),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
@@ -331,12 +335,15 @@ class Encounter:
 
         Minus infinity for obstacles that come after the arm would have stopped, and for pairs that the arm does not
         close, unless something that moves may touch it: whoever overtakes an arm that leaves is to find it standing.
-        A forecast tells where that is until then; what was seen may have come from there until the arm stands.
+        A forecast tells where that is, and after it things go on as fast as they are; what was seen may have come from
+        there until the arm stands.
         """
         course = self.motion.course(share)
         standstill = self.motion.standstill(course)
         terms = self._terms(course)
-        touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, 0.0)
+        after_s = np.maximum(standstill - self.hazards.valid_to, 0) * 1e-9
+        goes_on = (self.hazards.own_speeds * after_s)[self.rows]
+        touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, goes_on)
         touching = self.hazards.moves[self.rows] & (self.distances < touches)
         closes = self.closing > self.parameters.closing_speed
         concerned = (closes | touching) & (self.hazards.valid_from[self.rows] <= standstill)
