@@ -41,7 +41,10 @@ def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
         made({}, {"robot": "192.168.1.10"})
     with pytest.raises(TwinError, match="expected the arm that is driven, ur3e, found ur5e"):
         made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "ur3e"})
+    with pytest.raises(TwinError, match=r"expected the arm that is driven, my_ur5\.xml, found ur10e"):
+        made({}, {"robot": "192.168.1.10", "model": "my_ur5.xml"})  # of the CB3 series, as its driver asked
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
+    assert made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "airo:ur5e"}) is not None
     assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
     assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
 

@@ -12,6 +12,7 @@ from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
 from twin_node.robot import UR_NAMES
+from twin_node.robot.arms import AIRO
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
@@ -62,8 +63,11 @@ def _driving(endpoints: Iterable[Endpoint]) -> Driving:
 
 
 def _check_driven(where: str, driven: str, model: str) -> None:
-    """All UR arms name their joints alike: nothing that comes tells that another one is judged than the one driven."""
-    if driven != model and {driven, model} <= set(UR_NAMES):
+    """All UR arms name their joints alike: nothing that comes tells that another one is judged than the one driven.
+
+    A file that is judged may be that arm with a gripper; one that is driven is no e-Series arm, or it had its name.
+    """
+    if model in UR_NAMES and model != driven.removeprefix(AIRO):
         raise GraphError(
             f"{where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
             "'ur_driver' the same 'model'"
