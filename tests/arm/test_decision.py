@@ -374,6 +374,15 @@ def test_what_a_forecast_holds_first_is_there_before_it_begins(
         assert (found.reason, found.distance) == (expected.reason, pytest.approx(expected.distance, abs=1e-6))
 
 
+def test_what_stands_from_the_evidence_on_hides_no_first_layer(ur5e_checker: ArmCollisionChecker) -> None:
+    """Beside a table that counts already, who was forecast from 80 ms on was nowhere yet: an arm crept up to them."""
+    somebody = beside_the_tool(ur5e_checker, 0.1, valid_ms=(80, 280))
+    table = Thing((3.0, 0.0, 0.0), kind=ObstacleKind.STATIC, valid_ms=(0, 1000))
+    found = decided(ur5e_checker, somebody, table, velocity=0.05 * TURNING)
+    assert (found.speed_fraction, found.reason) == (0.0, "stopped for MOVING")
+    assert ur5e_checker.distance(READY, NOW).obstacle_id == 100
+
+
 def test_an_arm_that_still_brakes_is_faster_than_it_is_told(ur5e_checker: ArmCollisionChecker) -> None:
     """It counted as if it were as fast as that already, and came 2 cm nearer to furniture than it should."""
     ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.16, kind=ObstacleKind.STATIC)))

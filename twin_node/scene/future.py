@@ -157,8 +157,10 @@ class Obstacles:
 
     @property
     def begins(self) -> int:
-        """When the first forecast begins, ns: that of the evidence where there is none."""
-        forecast = self.valid_from[~self.as_seen]
+        """When the forecast of what moves, or else of the rest, begins, ns; that of the evidence if there is none."""
+        told = ~self.as_seen
+        moving = told & (self.kinds == ObstacleKind.MOVING)
+        forecast = self.valid_from[moving if moving.any() else told]
         return int(forecast.min()) if len(forecast) else self.stamp
 
 
