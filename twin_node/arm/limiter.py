@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, replace
 
 from twin_node.arm.errors import ArmError
@@ -41,7 +42,10 @@ class LimiterParameters:
 
 
 class SpeedLimiter:
-    """Speed fraction that the arm is given, from the decisions made so far and the time since the last."""
+    """Speed fraction that the arm is given, from the decisions made so far and the time since the last.
+
+    Any thread may call it: decisions come from one that a camera may hold up, and another's timer asks meanwhile.
+    """
 
     def __init__(self, parameters: LimiterParameters | None = None) -> None:
         self.parameters = parameters or LimiterParameters()
@@ -49,23 +53,29 @@ class SpeedLimiter:
         self._arrival = 0
         self._fraction = 0.0
         self._stamp: int | None = None
+        self._lock = threading.Lock()
 
     def decide(self, separation: Separation, now: int) -> Separation:
         """Takes a new decision at a time (ns) and gives back what the arm is told: `tick` at that time.
 
         Where nobody has asked for longer than a deadline, it rises from what the arm would have been told by now.
         """
-        if self._stamp is not None and (now - self._stamp) * 1e-9 > self.parameters.deadline_s:
-            self.tick(now)
-        self._decision = separation
-        self._arrival = now
-        return self.tick(now)
+        with self._lock:
+            if self._stamp is not None and (now - self._stamp) * 1e-9 > self.parameters.deadline_s:
+                self._tick(now)
+            self._decision = separation
+            self._arrival = now
+            return self._tick(now)
 
     def tick(self, now: int) -> Separation:
         """What the arm is told at a time (ns), called at least once per deadline whether or not a forecast came.
 
         Before the first decision the arm stands.
         """
+        with self._lock:
+            return self._tick(now)
+
+    def _tick(self, now: int) -> Separation:
         if self._decision is None:
             self._stamp = now
             return standing(now, NO_EVIDENCE, "stopped: no forecast yet")
@@ -85,7 +95,8 @@ class SpeedLimiter:
 
     def stand(self) -> None:
         """The arm stands, whatever it was told: from now on its speed rises from there."""
-        self._fraction = 0.0
+        with self._lock:
+            self._fraction = 0.0
 
     def silence_s(self, now: int) -> float:
         """How long there has been no fresh forecast at a time (ns), s; infinite before the first."""
