@@ -142,6 +142,17 @@ def test_transforms_that_are_none_are_refused(change: dict[str, float]) -> None:
     np.testing.assert_array_equal(tree.lookup("cam"), np.eye(4))
 
 
+def test_a_base_that_is_called_otherwise_is_told_of_with_what_to_do() -> None:
+    """A driver with a tf_prefix calls its arm's so."""
+    tree, one = c.TransformTree(), np.eye(4)
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("left_base_link", "cam", one, 0)]))
+    with pytest.raises(MessageError, match="if left_base_link is the arm's, publish base_link at it, without a turn"):
+        tree.lookup("cam")
+    link = c.transform_stamped("left_base_link", "base_link", one, 0)
+    tree.add(replace(c.tf_static(Rig(()), 0), transforms=[link]))
+    np.testing.assert_array_equal(tree.lookup("cam"), one)
+
+
 def test_frames_that_nothing_joins_and_loops_are_named() -> None:
     tree = c.TransformTree()
     tree.add(replace(c.tf_static(Rig(()), 0), transforms=[c.transform_stamped("a", "b", np.eye(4), 0)]))

@@ -199,10 +199,16 @@ class TransformTree:
         root_of_frame, T_root_frame = self._to_root(frame)
         root_of_base, T_root_base = self._to_root(base)
         if root_of_frame != root_of_base:
-            known = ", ".join(sorted({*self._parents, *(parent for parent, _ in self._parents.values())})) or "none"
+            known = sorted({*self._parents, *(parent for parent, _ in self._parents.values())})
+            called = next((name for name in known if name.endswith(base)), base)  # by a driver with a tf_prefix
+            at = (
+                ""
+                if base in known or called == base
+                else f"; if {called} is the arm's, publish {base} at it, without a turn"
+            )
             raise MessageError(
-                f"frame {frame}: no transforms join it to {base} (known frames: {known}); add them to /tf_static or "
-                "give a rig file"
+                f"frame {frame}: no transforms join it to {base} (known frames: {', '.join(known) or 'none'}); add "
+                f"them to /tf_static or give a rig file{at}"
             )
         joined: Float64 = inverse_pose(T_root_base) @ T_root_frame
         return joined
