@@ -67,6 +67,8 @@ def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int
             setattr(compiled, name, getattr(plain, name).copy())  # so that a pixel within rounding does not spread
     assert marked > 100
     assert compiled.sigma == pytest.approx(plain.sigma, rel=1e-3)
+    assert compiled.bared == pytest.approx(plain.bared, abs=ROUNDING)
+    assert (plain.bared == 0) == depth
     assert np.mean(np.abs(compiled.background - plain.background) > 0.01) < 1e-3
     assert np.count_nonzero(compiled.still_ns != plain.still_ns) <= ROUNDING
     assert np.abs(compiled.colours.ground - plain.colours.ground).sum() < 1e-3 * plain.colours.ground.sum()

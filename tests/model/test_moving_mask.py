@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from twin_node.model.moving_mask import MovingMask
+from twin_node.model.moving_mask import BARED_NS, MovingMask
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, Camera, Float32, FrameSet, UInt8, View
 
@@ -82,6 +83,20 @@ def test_stopping_never_frees(scene: Scene) -> None:
     for _ in range(90):
         found = scene.show(box(56))
         assert share(found, box(56)) == 1.0
+
+
+def test_who_comes_to_rest_beside_ground_of_their_own_colours_is_held() -> None:
+    """Skin over a grey floor, up to the edge of a wooden table: without depth only what was there before tells."""
+    ground = np.full((HEIGHT, WIDTH, 3), 125.0)
+    ground[:, :60] = (178, 140, 104)
+    path = (*range(140, 56, -4), *range(60, 150, 4), *range(140, 60, -4), *(60 * (60,)))
+    mask, shares = MovingMask(), []
+    for tick, left in enumerate(path):
+        image = np.where(box(left)[..., None], (170, 132, 96), ground)
+        noisy = image + np.random.default_rng(tick).normal(0, 1.5, ground.shape)
+        view = View(CAMERA, tick * STEP_NS, noisy.astype(np.uint8))
+        shares.append(share(mask.update(FrameSet(view.stamp, (view,)), [None])[0], box(left)))
+    assert min(shares[-60:]) > 0.97
 
 
 def test_box_present_from_the_start_is_found_whole_and_its_place_is_freed(scene: Scene) -> None:
@@ -255,6 +270,27 @@ def test_what_is_at_rest_where_no_depth_was_known_is_not_learnt_while_it_moves(s
         view = View(CAMERA, tick * STEP_NS, rgb, depth)
         mask.update(FrameSet(view.stamp, (view,)), [None])
     assert np.isin(mask._cameras["cam"].depth[shape], (0, 2)).all()
+
+
+@pytest.mark.parametrize("path", [(*(5 * (40,)), *range(40, 120, 3)), (*(5 * (WIDTH,)), *range(120, 40, -3))])
+@pytest.mark.parametrize("cameras", [1, 2])
+@pytest.mark.parametrize("has_depth", [False, True])
+def test_only_what_stood_there_from_the_start_and_moves_off_unmeasured_is_a_warning(
+    scene: Scene, path: Sequence[int], cameras: int, has_depth: bool
+) -> None:
+    rig = [replace(CAMERA, name=f"cam{number}") for number in range(cameras)]
+    depth = np.full((HEIGHT, WIDTH), 2, np.float32) if has_depth else None
+    told = []
+    for tick, left in enumerate(path):
+        image = np.where(box(left)[..., None], np.uint8((230, 60, 30)), scene.floor)
+        views = tuple(View(camera, tick * STEP_NS, image, depth) for camera in rig)
+        scene.mask.update(FrameSet(tick * STEP_NS, views), [None] * cameras)
+        told.append(scene.mask.warnings)
+    assert not any(told[:5])
+    assert bool(told[-1]) == (path[0] == 40 and cameras == 2 and not has_depth)
+    last = replace(views[0], stamp=views[0].stamp + BARED_NS + STEP_NS)
+    scene.mask.update(FrameSet(last.stamp, (last,)), [None])
+    assert not scene.mask.warnings, "after so long it is over"
 
 
 def test_a_jump_of_exposure_is_not_motion(scene: Scene) -> None:

@@ -59,6 +59,7 @@ class CameraMask:
         self.measured = np.zeros(self.shape, np.float32)  # by the newest image with depth
         self.still_ns = np.zeros(self.shape, np.float32)
         self.sigma = CHANGE_LEVELS / CHANGE_SIGMAS
+        self.bared = 0.0  # pixels of late that something moved off which had been there from the start; without depth
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
         self.closing = _disk(max(1, round(GAP * min(self.shape))))
         self.colours = Colours()
@@ -89,10 +90,17 @@ class CameraMask:
         uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
+        if not self.is_told:
+            self.bared = 0.98 * self.bared + np.count_nonzero(uncovered & self.trusted & (difference > threshold))
         self.trusted |= uncovered
         self.mask = mask & ~uncovered
         self._learn(image / gain, view, seen & ~self.mask, uncovered)
         return self.mask.copy()
+
+    @property
+    def is_told(self) -> bool:
+        """Whether any depth is known: else colours alone must tell ground from somebody who stands there."""
+        return bool((self.depth > 0).any())
 
     def reference(self, stamp: int) -> Float32:
         """[3, H, W] the oldest image up to a baseline older than `stamp` (ns); the newest where there is none."""
@@ -199,11 +207,17 @@ class CameraMask:
     ) -> Bool:
         """`found`, and settled pixels that a thing, there from the start, has moved off: ground never seen before.
 
-        They continue the free ground beside them, or have a colour of the ground around and not of moving things.
+        They continue the free ground beside them, or have a colour of the ground around and not of moving things. Where
+        no depth is measured, colours alone must tell them from somebody who has come to rest: there they must also fit
+        better than the background did, and what is doubted must be likely ground.
         """
-        share = self.colours.learn(image, free, object_)
+        self.colours.learn(image, free, object_)
         if not settled.any():
             return found
+        is_told = self.is_told
+        unknown = 0.0 if is_told else 0.5
+        share = self.colours.shares(image, unknown)
+        likelier = share >= self.colours.shares(self.background, unknown)
         ground_coloured = settled & (share > GROUND_CERTAINTY)
         likely_ground = settled & (share > GROUND_LIKELIHOOD)
         box = _around(settled, 2)  # what is found is settled, and looks no farther than its 5 x 5 pixels
@@ -214,9 +228,13 @@ class CameraMask:
             sums = np.stack([cv2.boxFilter(plane * known, -1, (5, 5)) for plane in image])
             ground = (sums / np.maximum(weight, 1e-3)).astype(np.float32)
             rough, was_rough = _difference(image, ground), _difference(background, ground)
-            fits_better = likely_ground[box] & (was_rough > 2 * threshold) & (rough < 0.7 * was_rough)
+            better = rough < 0.7 * was_rough
+            fits_better = likely_ground[box] & (was_rough > 2 * threshold) & better
             continues = (settled[box] & (rough < 0.6 * threshold)) | fits_better
-            inside |= (weight > 0.2) & (continues | ground_coloured[box])
+            is_ground = continues | ground_coloured[box]
+            if not is_told:
+                is_ground &= np.where(self.trusted[box], better & likelier[box], likely_ground[box])
+            inside |= (weight > 0.2) & is_ground
         return found
 
     def _learn(self, image: Float32, view: View, free: Bool, uncovered: Bool) -> None:
@@ -246,19 +264,19 @@ class Colours:
         self.ground = np.zeros(16**3)
         self.moving = np.zeros(16**3)
 
-    def learn(self, image: Float32, ground: Bool, moving: Bool) -> Float32:
-        """Counts the pixels of both; older counts fade over about 50 images.
-
-        Returns the probability [H, W] that a pixel of this colour is ground; 0 until moving things have been seen.
-        """
+    def learn(self, image: Float32, ground: Bool, moving: Bool) -> None:
+        """Counts the pixels of both; older counts fade over about 50 images."""
         bins = self._bins(image)
         self.ground = 0.98 * self.ground + np.bincount(bins[ground], minlength=self.ground.size)
         self.moving = 0.98 * self.moving + np.bincount(bins[moving], minlength=self.moving.size)
+
+    def shares(self, image: Float32, unknown: float) -> Float32:
+        """[H, W] how probably a pixel of this colour is ground; `unknown` until moving things have been seen."""
         if self.moving.sum() < 200:
-            return np.zeros(image.shape[1:], np.float32)
+            return np.full(image.shape[1:], unknown, np.float32)
         on_ground, on_moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self.ground, self.moving))
         share = on_ground / np.maximum(on_ground + on_moving, 1e-9)
-        return share.astype(np.float32)[bins]
+        return share.astype(np.float32)[self._bins(image)]
 
     @staticmethod
     def _bins(image: Float32) -> NDArray[np.intp]:

@@ -57,7 +57,7 @@ class _Call:
         self._camera = camera
         self._stamp = view.stamp
         self._image: Float32 = np.empty((3, *camera.shape), np.float32)
-        self._sigma = np.array([camera.sigma])
+        self._sigma, self._bared = np.array([camera.sigma]), np.array([camera.bared])
         self._rules = _rules(camera.closing)
         last_stamp, last = camera.past[-1]
         self._held: list[NDArray[np.generic] | None] = [
@@ -69,7 +69,7 @@ class _Call:
             self._image,
             *(camera.background, camera.depth, camera.measured, camera.still_ns),
             *(camera.known, camera.trusted, camera.confirmed, camera.mask),
-            *(camera.colours.ground, camera.colours.moving, self._sigma),
+            *(camera.colours.ground, camera.colours.moving, self._sigma, self._bared),
         ]
         height, width = camera.shape
         self.request = MaskRequest(
@@ -78,7 +78,7 @@ class _Call:
 
     def end(self) -> Bool:
         """Takes over what the kernel has found; returns the mask."""
-        self._camera.sigma = float(self._sigma[0])
+        self._camera.sigma, self._camera.bared = float(self._sigma[0]), float(self._bared[0])
         self._camera.remember(self._stamp, self._image)
         return self._camera.mask.copy()
 

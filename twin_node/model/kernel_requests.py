@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 22
+INTERFACE_VERSION = 23
 
 
 class MaskRules(ctypes.Structure):
@@ -33,7 +33,7 @@ class MaskRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
         *((name, c_void_p) for name in ("background", "depth", "measured_last", "still_ns")),
         *((name, c_void_p) for name in ("known", "trusted", "confirmed", "mask")),
-        *((name, c_void_p) for name in ("ground", "moving", "sigma")),
+        *((name, c_void_p) for name in ("ground", "moving", "sigma", "bared")),
     )
 
 

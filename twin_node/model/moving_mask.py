@@ -10,6 +10,17 @@ from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, FrameSet, View
 
+BARED_SHARE = 5e-3
+"""Of an image: so much that something has moved off of late which had been there from the start is a thing."""
+WITNESSES = 2
+"""Cameras that must show so: one may take somebody who has come to rest for ground."""
+BARED_NS = 20_000_000_000
+"""For so long what is left of that thing may go on to rest unseen, ns: as long as what rests is expected to start."""
+_STOOD = (
+    "model: something moved that had stood there since the first images, as cameras show that measure no depth: what "
+    "still stands of it is taken for ground and told as free; keep clear, and begin with nobody in view"
+)
+
 
 class MovingMask:
     """Moving masks of a rig, image set by image set.
@@ -22,6 +33,14 @@ class MovingMask:
     def __init__(self) -> None:
         self._cameras: dict[str, CameraMask] = {}
         self._rests: dict[str, LongRest] = {}
+        self._stamp = 0
+        self._bared_at: int | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the newest masks must know."""
+        is_recent = self._bared_at is not None and self._stamp - self._bared_at <= BARED_NS
+        return (_STOOD,) if is_recent else ()
 
     def update(self, frames: FrameSet, robot_masks: Sequence[Bool | None]) -> tuple[Bool, ...]:
         """Masks [H, W] per view of `frames`, True where something moves or has moved; the robot is left out.
@@ -38,6 +57,9 @@ class MovingMask:
             masks = update_compiled(cameras, frames.views, robot_masks)
         else:
             masks = [camera.update(view, robot) for camera, view, robot in given]
+        self._stamp = frames.stamp
+        if sum(camera.bared > BARED_SHARE * camera.mask.size for camera in cameras) >= WITNESSES:
+            self._bared_at = frames.stamp
         rests = [self._rests[view.camera.name] for view in frames.views]
         return tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
 

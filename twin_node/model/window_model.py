@@ -187,7 +187,7 @@ class WindowModel:
             model.nodes,
             moving,
             robots,
-            self._light.warnings + levelled.warnings,
+            self._light.warnings + levelled.warnings + self._mask.warnings,
             levelled.exposures,
             None if is_first else model.stamp,
         )

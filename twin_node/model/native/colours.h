@@ -10,6 +10,14 @@ namespace model {
 constexpr int kBins = 4096;           // 16 levels per channel
 constexpr double kLeastMoving = 200;  // pixels of moving things before which nothing is told
 
+// The bin of a colour, by its levels per channel.
+template <class Level>
+int bin_of(const Level &level) {
+  int bin = 0;
+  for (int k = 0; k < 3; k++) bin = 16 * bin + static_cast<int>(std::min(std::max(level(k), 0.f), 255.f) / 16.f);
+  return bin;
+}
+
 // How often each colour is what counts, spread over the bins around it.
 inline std::vector<double> density(const double *counts) {
   double sum = 0;
@@ -26,9 +34,9 @@ inline std::vector<double> density(const double *counts) {
   return from;
 }
 
-// How likely each colour is ground; 0 until moving things have been seen.
-inline std::vector<float> ground_shares(const double *ground_counts, const double *moving_counts) {
-  std::vector<float> share(kBins, 0.f);
+// How likely each colour is ground; `unknown` until moving things have been seen.
+inline std::vector<float> ground_shares(const double *ground_counts, const double *moving_counts, float unknown) {
+  std::vector<float> share(kBins, unknown);
   double sum = 0;
   for (int i = 0; i < kBins; i++) sum += moving_counts[i];
   if (sum < kLeastMoving) return share;

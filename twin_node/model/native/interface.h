@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 22;
+constexpr int32_t kInterfaceVersion = 23;
 
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
@@ -34,6 +34,7 @@ struct MaskRequest {
   uint8_t *known, *trusted, *confirmed, *mask;  // [H, W]
   double *ground, *moving;      // [4096] how often each colour was free ground, and a moving thing
   double *sigma;                // [1] noise of the images, levels
+  double *bared;                // [1] pixels of late that something moved off which had been there from the start
 };
 
 struct MaskRequests {

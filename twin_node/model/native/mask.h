@@ -89,11 +89,7 @@ class MaskUpdate {
       for (int64_t at = k * pixels_; at < (k + 1) * pixels_; at++) plain_[at] = r_.image[at] / gain_[k];
     }
     for (int64_t at = 0; at < pixels_; at++) {
-      int bin = 0;
-      for (int k = 0; k < 3; k++) {
-        bin = 16 * bin + static_cast<int>(std::min(std::max(plain(k, at), 0.f), 255.f) / 16.f);
-      }
-      bin_[at] = static_cast<uint16_t>(bin);
+      bin_[at] = static_cast<uint16_t>(bin_of([&](int k) { return plain(k, at); }));
     }
   }
 
@@ -269,6 +265,11 @@ class MaskUpdate {
     }
   }
 
+  // Whether any depth is known: else colours alone must tell ground from somebody who stands there.
+  bool is_told() const {
+    return std::any_of(r_.depth, r_.depth + pixels_, [](float depth) { return depth > 0; });
+  }
+
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
   static int mirrored(int at, int size) {
     if (size == 1) return 0;
@@ -276,8 +277,9 @@ class MaskUpdate {
     return at;
   }
 
-  // Whether a settled pixel continues the ground around it, of which `known` is what is known.
-  bool continues(int64_t at, const Mask &known, float share) const {
+  // Whether a settled pixel continues the ground around it, of which `known` is what is known. `shares` of colours.
+  bool continues(int64_t at, const Mask &known, const std::vector<float> &shares, bool told) const {
+    const float share = shares[bin_[at]];
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     constexpr int kSide = 2 * kAround + 1;
     float sums[3] = {0.f, 0.f, 0.f}, count = 0.f;
@@ -299,8 +301,12 @@ class MaskUpdate {
       rough = std::max(rough, std::fabs(plain(k, at) - ground));
       was_rough = std::max(was_rough, std::fabs(background_(k, at) - ground));
     }
-    const bool fits = share > p_.ground_likelihood && was_rough > 2 * threshold_ && rough < kQuiet * was_rough;
-    return rough < kAlike * threshold_ || fits || share > p_.ground_certainty;
+    const bool better = rough < kQuiet * was_rough, likely = share > p_.ground_likelihood;
+    const bool fits = likely && was_rough > 2 * threshold_ && better;
+    if (!(rough < kAlike * threshold_ || fits || share > p_.ground_certainty)) return false;
+    if (told) return true;
+    if (!r_.trusted[at]) return likely;
+    return better && share >= shares[bin_of([&](int k) { return background_(k, at); })];
   }
 
   // Whether a background that is doubted is seen, its depth known, and nearly all pixels around show one that is not.
@@ -332,15 +338,19 @@ class MaskUpdate {
         open.push_back(at);
       }
     }
+    const bool told = is_told();
+    if (!told) *r_.bared *= kFading;
     if (open.empty()) return;
-    const std::vector<float> share = ground_shares(r_.ground, r_.moving);
+    const std::vector<float> shares = ground_shares(r_.ground, r_.moving, told ? 0.f : 0.5f);
     for (int ring = 0; ring < p_.rings; ring++) {
       found.clear();
       std::vector<int64_t> left;
-      for (const int64_t at : open) (continues(at, known, share[bin_[at]]) ? found : left).push_back(at);
+      for (const int64_t at : open) (continues(at, known, shares, told) ? found : left).push_back(at);
       for (const int64_t at : found) {
         known[at] = 1;
-        uncovered_[at] = difference_[at] > threshold_ || !r_.trusted[at];
+        const bool differs = difference_[at] > threshold_;
+        uncovered_[at] = differs || !r_.trusted[at];
+        if (!told && differs && r_.trusted[at]) *r_.bared += 1;
       }
       open.swap(left);
     }
