@@ -43,6 +43,19 @@ def test_what_is_seen_is_held_by_a_forecast_as_far_as_that_reaches(depth: bool) 
     assert whole.measured == (whole.seen if depth else 0)
 
 
+@pytest.mark.parametrize("depth", [True, False])
+def test_what_moves_beside_the_workspace_is_not_missed_by_a_forecast_of_the_workspace(depth: bool) -> None:
+    margin = Margin(GRID, 0.3)
+    beside = np.array([GRID.origin[0] - 0.16, 0.0, 0.4])
+    outer = np.arange(margin.outer.size)
+    outer = outer[np.linalg.norm(margin.outer.centers(outer) - beside, axis=1) < 0.1]
+    places = margin.places(np.stack(np.unravel_index(outer, margin.outer.dims)).astype(np.int32))
+    parts = Parts(outer, places, np.zeros(len(outer), np.int64), np.ones(len(outer), np.bool_), beside[None])
+    state = state_of(0, beside, with_depth=depth)
+    assert any(mask.any() for mask in state.moving_masks)
+    assert Judgement(state, margin, RigTables(margin.outer), outer[:0], parts).of(np.ones(1, np.bool_)).seen == 0
+
+
 def test_points_that_no_other_camera_confirms_are_not_asked_for() -> None:
     margin = Margin(GRID, 0.15)
     ball = ball_voxels(CENTER, 0.16)

@@ -89,9 +89,12 @@ class Judgement:
     ) -> None:
         """`forecast` [n]: its voxels in the inner grid, flat indices in rising order.
 
-        `parts`: what moves now; flat indices in the outer grid, in rising order.
+        `parts`: what moves now; flat indices in the outer grid, in rising order, and coordinates in the inner one.
         """
         self._parts, self._blocks, self._margin = parts, tables.blocks, margin
+        dims = np.array(margin.inner.dims)[:, None]
+        self._is_inner: Bool = np.all((parts.places >= 0) & (parts.places < dims), axis=0)
+        """[n] voxels of the parts that forecasts hold: none is made of the rim."""
         self._told: dict[bytes, Held] = {}
         """By who was chosen."""
         seen = list(zip(state.frames.views, state.moving_masks, strict=True))
@@ -132,7 +135,7 @@ class Judgement:
         agreed, pixels = int(np.count_nonzero(explained)), 0
         covered = int(np.count_nonzero(explained & surface.foreseen))
         if self._images:
-            here = self._blocks.locate(self._parts.indices[chosen[self._parts.labels]])
+            here = self._blocks.locate(self._parts.indices[chosen[self._parts.labels] & self._is_inner])
             for image in self._images:
                 shown = image.moving & image.table.image_of(here)
                 pixels += int(np.count_nonzero(shown))
