@@ -42,6 +42,10 @@ Webcams' images are stamped when they arrive, some milliseconds sooner or later;
 JITTER_FALL = 5.0
 """The most that a round takes from it: what is thought of as certain would not be doubted again."""
 
+FAR_SIGMAS, FAR_SHARE = 2.0, 0.92
+"""Delays count for so many sigmas at most, and what is left of a normal distribution's variance then: one image whose
+delay the solver was led astray by, or that was misread, says nothing of its camera's stamps."""
+
 LEAST_TOLD_IMAGES = 1.0
 """Delays are told by so many images at least: where a camera saw the board alone its course takes them all up."""
 
@@ -53,6 +57,7 @@ ROBUST_SIGMAS = 2.0
 class Look:
     """A state's projection of the board's P corners in all V images; zeros for what was not seen."""
 
+    state: BundleState
     placed: Placed
     """The board at every image's time."""
     lags: Float64
@@ -110,8 +115,10 @@ class BundleProblem:
         places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
         self._places = [np.flatnonzero(own) for own in places]
         """Per camera: [N] of all V * P corners the ones that it found."""
-        self.jitter = np.full(cameras, JITTER_SIGMA_S if self.layout.clocks and options.delays else 0.0)
-        """[C] 1 sigma of each camera's delays, s; 0 where they are fixed."""
+        self.delayed = self.layout.clocks and options.delays
+        """Whether stamps may be off one by one."""
+        self.jitter = np.zeros(cameras)
+        """[C] 1 sigma of each camera's delays, s; 0 where they are fixed, as at first."""
         self._step = _step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
@@ -120,16 +127,18 @@ class BundleProblem:
         displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
         self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
 
-    def measure_jitter(self, state: BundleState, kept: Bool, noise_px: Float64) -> None:
+    def measure_jitter(self, look: Look, kept: Bool, noise_px: Float64) -> None:
         """Sets what stamps may be off by to what they are off by, beyond what noise of the corners makes of them."""
         if not self.jitter.any():
             return
-        variances = self.equations(state, self.look(state), kept, noise_px).delay_variances()
+        variances, delays = self.equations(look, kept, noise_px).delay_variances(), look.state.delays
         jitter, used = self.jitter.copy(), kept.any(axis=1)
         for camera in range(len(jitter)):
             views = np.flatnonzero((self.camera == camera) & used)
             told = 1 - variances[views] / jitter[camera] ** 2  # 0: of the delay nothing is known but the jitter
-            square = float((state.delays[views] ** 2 - told * variances[views]).sum())
+            noise = told * variances[views]
+            likely = told**2 * jitter[camera] ** 2 + noise
+            square = float((np.minimum(delays[views] ** 2, FAR_SIGMAS**2 * likely) / FAR_SHARE - noise).sum())
             square /= max(float((told**2).sum()), LEAST_TOLD_IMAGES)
             least = max(jitter[camera] / JITTER_FALL, LEAST_JITTER_S)
             jitter[camera] = np.clip(np.sqrt(max(square, 0.0)), least, MOST_JITTER_S)
@@ -154,10 +163,11 @@ class BundleProblem:
                 by_lens[own, :, : projection.by_lens.shape[-1]] = projection.by_lens
         shape = self._pixels.shape
         by_point, by_lens = by_point.reshape(*shape, 3), by_lens.reshape(*shape, by_lens.shape[-1])
-        return Look(placed, lags, points, residuals.reshape(shape), by_point, by_lens)
+        return Look(state, placed, lags, points, residuals.reshape(shape), by_point, by_lens)
 
-    def cost(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> float:
+    def cost(self, look: Look, kept: Bool, noise_px: Float64) -> float:
         """Half the robust sum of squares, in sigmas, of the corners that are kept and of all priors."""
+        state = look.state
         square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
         robust = 2 * ROBUST_SIGMAS**2 * (np.sqrt(1 + square / ROBUST_SIGMAS**2) - 1)
         lenses = sum(float((lens.priors() ** 2).sum()) for lens in state.lenses) if self.layout.lens_sizes else 0.0
@@ -167,17 +177,18 @@ class BundleProblem:
         clocks += float(((state.delays / np.maximum(self.jitter, LEAST_JITTER_S)[self.camera]) ** 2).sum())
         return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((roughness(state.course) ** 2).sum()))
 
-    def equations(self, state: BundleState, look: Look, kept: Bool, noise_px: Float64) -> BundleEquations:
+    def equations(self, look: Look, kept: Bool, noise_px: Float64) -> BundleEquations:
         """The equations about a state."""
+        state = look.state
         reach = 4 if any(stretch.count > 1 for stretch in state.course.stretches) else 1
         equations = NormalEquations(6 * len(state.course.quats), 6 * reach - 1, self.layout.size)
-        weights, blend = self._weights(look, kept, noise_px), self._blend(state)
+        weights, controls = self._weights(look, kept, noise_px), self._blend(state).controls
         late = []
         for camera in range(self.layout.cameras):
             # In the order of the course, so that images that share control poses are summed up before they are added.
             views = np.flatnonzero(self.camera == camera)
-            views = views[np.argsort(blend.controls[views, 0], kind="stable")]
-            late += self._add_camera(equations, state, look, weights, views, blend.controls[views])
+            views = views[np.argsort(controls[views, 0], kind="stable")]
+            late += self._add_camera(equations, look, weights, views, controls[views])
         add_smoothness(equations, state.course)
         self._add_priors(equations, state)
         return BundleEquations(equations, tuple(late), len(self.camera))
@@ -208,15 +219,14 @@ class BundleProblem:
             delays=state.delays + change.delays,
         )
 
-    def covariance(self, state: BundleState, kept: Bool, noise_px: Float64) -> Float64:
+    def covariance(self, look: Look, kept: Bool, noise_px: Float64) -> Float64:
         """[n, n] of the unknowns in `layout`, of an M-estimate (Huber, Robust Statistics, 1981, section 7.6)."""
-        look = self.look(state)
         square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
         s = square / ROBUST_SIGMAS**2
         pull, bend = square / (1 + s) / 2, (1 + s) ** -0.5 - 0.5 * s * (1 + s) ** -1.5
-        spare = max(1 - (6 * len(state.course.quats) + self.layout.size) / (2 * len(square)), 0.1)
+        spare = max(1 - (6 * len(look.state.course.quats) + self.layout.size) / (2 * len(square)), 0.1)
         plain = np.zeros_like(look.residuals)
-        equations = self.equations(state, replace(look, residuals=plain), kept, noise_px)
+        equations = self.equations(replace(look, residuals=plain), kept, noise_px)
         return equations.normal.outer_covariance() * float(pull.mean()) / spare / float(bend.mean()) ** 2
 
     def _blend(self, state: BundleState) -> Blend:
@@ -244,7 +254,6 @@ class BundleProblem:
     def _add_camera(
         self,
         equations: NormalEquations,
-        state: BundleState,
         look: Look,
         weights: Float64,
         views: NDArray[np.int64],
@@ -256,18 +265,18 @@ class BundleProblem:
         """
         if not len(views):
             return []
-        camera, slopes = self.camera[views[0]], self._slopes(state, look, weights, views)
+        camera, slopes = self.camera[views[0]], self._slopes(look, weights, views)
         J, steering, motions = slopes.J, slopes.steering, slopes.steering.shape[1]
         rows = J.reshape(len(views), -1, J.shape[-1])
         squares = rows.swapaxes(1, 2) @ rows
         products = None
         if self.layout.points:
             products = np.einsum("vpai,vpaj->vipj", J, slopes.by_corner).reshape(len(views), J.shape[-1], -1)
-        delays = self._delays(state, look.placed.speeds[views], squares, products, views)
+        delays = self._delays(look, squares, products, views)
         if delays is not None:
             squares = squares - delays.products(delays.by_image)
         # An image's whole board moves alike, whatever moves it: the first columns hold all that there is to know.
-        steered, own = steering.swapaxes(1, 2), self._own_motions(state, look.placed, views, motions, J.shape[-1])
+        steered, own = steering.swapaxes(1, 2), self._own_motions(look, views, motions, J.shape[-1])
         by_own = squares @ own
         outer_squares = (own.swapaxes(1, 2) @ by_own).sum(0)
         by_inner = [squares[:, :motions, :motions] @ steering, by_own[:, :motions]]
@@ -296,26 +305,22 @@ class BundleProblem:
         return [Late(views, columns.reshape(-1, 24), by_steering, outer, by_outer, corners, delays)]
 
     def _delays(
-        self,
-        state: BundleState,
-        speeds: Float64,
-        squares: Float64,
-        products: Float64 | None,
-        views: NDArray[np.int64],
+        self, look: Look, squares: Float64, products: Float64 | None, views: NDArray[np.int64]
     ) -> Delays | None:
         """What the images `views` of one camera tell of their delays; None where these are fixed."""
         jitter = self.jitter[self.camera[views[0]]]
         if not jitter:
             return None
+        speeds = look.placed.speeds[views]
         by_image = (squares[:, :, :6] @ speeds[..., None])[..., 0]
-        by_image[:, -1] -= state.delays[views] / jitter**2
+        by_image[:, -1] -= look.state.delays[views] / jitter**2
         told = (by_image[:, :6] * speeds).sum(1) + jitter**-2
         none = np.zeros((len(views), 0))
         return Delays(by_image, none if products is None else (speeds[:, None] @ products[:, :6])[:, 0], told)
 
-    def _slopes(self, state: BundleState, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
+    def _slopes(self, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
         """How what the images `views` of one camera show changes."""
-        placed, weight = look.placed, weights[views, :, None, None]
+        state, placed, weight = look.state, look.placed, weights[views, :, None, None]
         by_rig = look.by_point[views] * weight @ state.T_cam_rig[self.camera[views[0]], :3, :3]
         by_board = (by_rig.reshape(len(views), -1, 3) @ placed.rotations[views]).reshape(by_rig.shape)
         # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
@@ -332,14 +337,13 @@ class BundleProblem:
         residuals = look.residuals[views, ..., None] * weight
         return _Slopes(np.concatenate([*motions, *others, residuals], axis=-1), steering, by_corner)
 
-    def _own_motions(
-        self, state: BundleState, placed: Placed, views: NDArray[np.int64], motions: int, columns: int
-    ) -> Float64:
+    def _own_motions(self, look: Look, views: NDArray[np.int64], motions: int, columns: int) -> Float64:
         """[V, columns, columns - motions + 8] from the board's motions to what moves it before one camera.
 
         Motions are its turn and position and, where rows have times of their own, the speeds of these. What moves it is
         the camera's pose and clock; what follows, its lens, its readout and the residuals, is left as it is.
         """
+        state, placed = look.state, look.placed
         T = state.T_cam_rig[self.camera[views[0]]]
         out = np.zeros((len(views), columns, columns - motions + 8))
         out[:, :3, :3] = (T[:3, :3] @ placed.rotations[views]).swapaxes(1, 2)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
-from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.bundle_problem import JITTER_SIGMA_S, BundleProblem, Look
 from twin_node.scene import Bool, Float64
 
 OUTLIER_SIGMAS = 6.0
@@ -59,29 +59,31 @@ def solve_bundle(
     corners, and images, that do not fit are left out. `jitter_s` [C]: what an earlier solution found.
     """
     problem = BundleProblem(start, sightings, options or BundleOptions())
+    look, kept, noise = problem.look(start), problem.seen, np.ones(len(start.lenses))
+    if problem.delayed and jitter_s is None:
+        # Beside a course that is still far off, images near its ends take delays of 30 ms and more, and keep them.
+        look = minimise(problem, look, kept, noise, ROUGHLY)
+        jitter_s = np.full(len(noise), JITTER_SIGMA_S)
     problem.jitter = problem.jitter if jitter_s is None else jitter_s
-    state, kept, noise = start, problem.seen, np.ones(len(start.lenses))
     for _ in range(ROUNDS):
-        state = minimise(problem, state, kept, noise, ROUGHLY)
-        residuals, before, jitter = problem.look(state).residuals, kept, problem.jitter
-        noise = _noise(residuals, kept, problem.camera, len(noise))
-        kept = _inliers(residuals, problem.seen, noise[problem.camera])
-        problem.measure_board(state)
-        problem.measure_jitter(state, kept, noise)
+        look, before, jitter = minimise(problem, look, kept, noise, ROUGHLY), kept, problem.jitter
+        noise = _noise(look.residuals, kept, problem.camera, len(noise))
+        kept = _inliers(look.residuals, problem.seen, noise[problem.camera])
+        problem.measure_board(look.state)
+        problem.measure_jitter(look, kept, noise)
         steady = np.allclose(problem.jitter, jitter, rtol=STEADY, atol=STEADY_S)
         if steady and (kept != before)[problem.seen].mean() < SETTLED:
             break
-    state = minimise(problem, state, kept, noise)
-    residuals = problem.look(state).residuals
-    noise = _noise(residuals, kept, problem.camera, len(noise))
-    views = list(zip(sightings, kept, residuals, strict=True))
+    look = minimise(problem, look, kept, noise)
+    noise = _noise(look.residuals, kept, problem.camera, len(noise))
+    views = list(zip(sightings, kept, look.residuals, strict=True))
     return BundleResult(
-        state,
+        look.state,
         tuple(_thinned(sighting, own) for sighting, own, _ in views if own.any()),
         tuple(residual[own] for _, own, residual in views if own.any()),
         noise,
         problem.jitter,
-        partial(problem.covariance, state, kept, noise),
+        partial(problem.covariance, look, kept, noise),
         problem.layout,
         tuple(sighting for sighting, own, _ in views if not own.any()),
     )
@@ -97,28 +99,25 @@ def board_pays(rigid: BundleResult, bent: BundleResult) -> bool:
     return bool(gain > unknowns / 2 * np.log(counts.sum()))
 
 
-def minimise(
-    problem: BundleProblem, state: BundleState, kept: Bool, noise_px: Float64, enough: float = CONVERGED
-) -> BundleState:
+def minimise(problem: BundleProblem, start: Look, kept: Bool, noise_px: Float64, enough: float = CONVERGED) -> Look:
     """The state of least robust cost, downhill from the one given until a step gains a smaller share than asked."""
-    look, damping = problem.look(state), 1e-4
-    cost = problem.cost(state, look, kept, noise_px)
+    look, damping = start, 1e-4
+    cost = problem.cost(look, kept, noise_px)
     for _ in range(MAX_STEPS):
-        equations = problem.equations(state, look, kept, noise_px)
+        equations = problem.equations(look, kept, noise_px)
         while damping < MOST_DAMPING:
-            tried = problem.changed(state, equations.solution(damping))
-            seen = problem.look(tried)
-            found = problem.cost(tried, seen, kept, noise_px)
+            tried = problem.look(problem.changed(look.state, equations.solution(damping)))
+            found = problem.cost(tried, kept, noise_px)
             if found < cost:
                 break
             damping *= 10
         else:
-            return state
+            return look
         gain, damping = cost - found, max(damping / 10, 1e-9)
-        state, look, cost = tried, seen, found
+        look, cost = tried, found
         if gain < enough * cost:
             break
-    return state
+    return look
 
 
 def _inliers(residuals: Float64, seen: Bool, noise_px: Float64) -> Bool:

@@ -81,14 +81,18 @@ class NormalEquations:
         return len(self._c) - 1
 
     def variances(self, columns: NDArray[np.int64], by_inner: Float64, by_outer: Float64) -> Float64:
-        """[V] of sums of inner unknowns at `columns` [V, n] times `by_inner` [V, n] and all outer ones [V, outer]."""
+        """[V] of sums of inner unknowns at `columns` [V, n] times `by_inner` [V, n] and all outer ones [V, outer].
+
+        The columns of a sum are no further apart than those of a block.
+        """
         A, B = self._A.T.copy(), self._B[:, :-1]
         A[0] += HELD
-        sums = np.zeros((len(A[0]), len(columns)))
-        np.add.at(sums, (columns, np.arange(len(columns))[:, None]), by_inner)
-        reach = cho_solve_banded((cholesky_banded(A, lower=True), True), sums)
-        rest = by_outer - reach.T @ B
-        return np.asarray((sums * reach).sum(0) + np.einsum("vi,ij,vj->v", rest, self.outer_covariance(), rest))
+        reach = cho_solve_banded((cholesky_banded(A, lower=True), True), B)
+        rest = by_outer - (by_inner[:, None] @ reach[columns])[:, 0]
+        pairs = np.stack(np.broadcast_arrays(columns[:, :, None], columns[:, None]))
+        within = inverse_band(A)[np.ptp(pairs, axis=0), pairs.min(axis=0)]
+        inner = (by_inner[:, None] @ within @ by_inner[..., None])[:, 0, 0]
+        return np.asarray(inner + ((rest @ self.outer_covariance()) * rest).sum(1))
 
     def outer_covariance(self) -> Float64:
         """[outer, outer] inverse of the Schur complement; what rounding leaves of an unknown is open, not certain."""
@@ -99,3 +103,29 @@ class NormalEquations:
         values, vectors = np.linalg.eigh((C - B.T @ reach) / scale[:, None] / scale)
         spread = vectors / np.sqrt(np.maximum(values, LEAST_TOLD)) / scale[:, None]
         return np.asarray(spread @ spread.T)
+
+
+def inverse_band(A: Float64) -> Float64:
+    """[band + 1, N] the inverse of a symmetric positive definite matrix where that is not 0; both lower and banded.
+
+    In blocks as wide as the band, of which only neighbours meet: the recursion of Takahashi, Fagan and Chin (1973).
+    """
+    width, count = len(A), A.shape[1]
+    blocks = -(-count // width)
+    padded = np.zeros((width, blocks * width))
+    padded[:, :count], padded[0, count:] = A, 1.0
+    lag = np.arange(2 * width)[:, None] - np.arange(width)
+    columns = width * np.arange(blocks)[:, None, None] + np.arange(width)
+    lower = np.where((lag >= 0) & (lag < width), padded[np.clip(lag, 0, width - 1), columns], 0.0)
+    own, below = lower[:, :width], lower[:, width:]
+    own = own + np.tril(own, -1).swapaxes(1, 2)
+    gains = np.zeros_like(below)  # what a block's unknowns make of the next one's, negated
+    for i in range(1, blocks):
+        gains[i - 1] = np.linalg.solve(own[i - 1], below[i - 1].T).T
+        own[i] -= gains[i - 1] @ below[i - 1].T
+    inverse = np.concatenate([np.linalg.inv(own), np.zeros_like(own)], axis=1)
+    for i in range(blocks - 2, -1, -1):
+        inverse[i, width:] = -inverse[i + 1, :width] @ gains[i]
+        inverse[i, :width] -= gains[i].T @ inverse[i, width:]
+    lag, column = np.indices((width, width))
+    return np.asarray(inverse[:, lag + column, column].swapaxes(0, 1).reshape(width, -1)[:, :count])
