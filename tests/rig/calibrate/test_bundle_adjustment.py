@@ -205,6 +205,20 @@ def test_one_stamp_that_is_off_says_little_of_a_camera_s_others() -> None:
     assert result.jitter_s[1] < 0.0001
 
 
+def test_how_evenly_a_board_was_moved_is_told_by_its_course() -> None:
+    rng, state = np.random.default_rng(2), a_moving_state("plumb_bob")
+    step, places = state.course.stretches[0].step_s, state.course.positions
+    shaken = places + rng.normal(0, 8.0 * step**2 / np.sqrt(6), places.shape)  # 1 + 4 + 1 shares of second differences
+    state = replace(state, course=replace(state.course, positions=shaken))
+    seen = sightings_of(state, rng)
+    state = replace(state, delays=np.zeros(len(seen)))
+    problem = BundleProblem(state, seen, BundleOptions(delays=False))
+    for _ in range(4):
+        problem.measure_motion(problem.look(state), problem.seen, np.ones(2))
+    assert problem.hands.moving == pytest.approx(8.0, rel=0.4)
+    assert problem.hands.turning < 30.0
+
+
 def test_the_inverse_of_a_banded_matrix_is_known_within_its_band() -> None:
     rng = np.random.default_rng(0)
     for count, band in ((1, 5), (6, 5), (40, 5), (40, 0)):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.course import Course
+from twin_node.rig.calibrate.course_prior import Hands
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.scene import Float64
 
@@ -130,6 +131,8 @@ class BundleResult:
     """[C] 1 sigma of each camera's corners, pixels."""
     jitter_s: Float64
     """[C] 1 sigma of each camera's `delays`, s; 0 where they are fixed."""
+    hands: Hands
+    """How the board was moved."""
     doubt: Callable[[], Float64]
     """Works out the `covariance`."""
     layout: Layout

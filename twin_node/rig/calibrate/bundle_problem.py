@@ -13,10 +13,11 @@ from scipy.sparse import csr_array
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
 from twin_node.rig.calibrate.course import Blend, Placed
-from twin_node.rig.calibrate.course_prior import add_smoothness, roughness
+from twin_node.rig.calibrate.course_prior import Hands
 from twin_node.rig.calibrate.lenses import project
 from twin_node.rig.calibrate.normal_equations import NOWHERE, NormalEquations
 from twin_node.rig.calibrate.rotations import cross_matrix, moved
+from twin_node.rig.calibrate.stamp_jitter import LEAST_JITTER_S, measured_jitter
 from twin_node.scene import Bool, Float64
 
 BOARD_TOLERANCE = 0.01
@@ -34,20 +35,6 @@ RATE_SIGMA = 100e-6
 
 READOUT_SIGMA_S = 0.02
 """1 sigma of a readout: none where all rows are exposed at once, up to a frame's period of 33 ms in webcams."""
-
-JITTER_SIGMA_S, LEAST_JITTER_S, MOST_JITTER_S = 0.005, 2e-5, 0.04
-"""1 sigma of what single stamps are off by: at first; from the second round on what was measured, within the others.
-Webcams' images are stamped when they arrive, some milliseconds sooner or later; what is worse is another clock."""
-
-JITTER_FALL = 5.0
-"""The most that a round takes from it: what is thought of as certain would not be doubted again."""
-
-FAR_SIGMAS, FAR_SHARE = 2.0, 0.92
-"""Delays count for so many sigmas at most, and what is left of a normal distribution's variance then: one image whose
-delay the solver was led astray by, or that was misread, says nothing of its camera's stamps."""
-
-LEAST_TOLD_IMAGES = 1.0
-"""Delays are told by so many images at least: where a camera saw the board alone its course takes them all up."""
 
 ROBUST_SIGMAS = 2.0
 """Corners further off than so many sigma count linearly (soft L1): motion blur loses its pull."""
@@ -103,7 +90,7 @@ class BundleProblem:
         """[V, P] shares of the image's height below its middle."""
         self._times = np.array([sighting.time_s for sighting in sightings])
         self._boards = np.array([sighting.board for sighting in sightings])
-        cameras, moves = len(start.lenses), any(stretch.count > 1 for stretch in start.course.stretches)
+        cameras, moves = len(start.lenses), start.course.moves
         self.layout = Layout(
             cameras,
             tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
@@ -119,6 +106,8 @@ class BundleProblem:
         """Whether stamps may be off one by one."""
         self.jitter = np.zeros(cameras)
         """[C] 1 sigma of each camera's delays, s; 0 where they are fixed, as at first."""
+        self.hands = Hands()
+        """How a board is moved: at first; from the second round on what was measured."""
         self._step = _step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
@@ -127,22 +116,15 @@ class BundleProblem:
         displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
         self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
 
-    def measure_jitter(self, look: Look, kept: Bool, noise_px: Float64) -> None:
-        """Sets what stamps may be off by to what they are off by, beyond what noise of the corners makes of them."""
-        if not self.jitter.any():
+    def measure_motion(self, look: Look, kept: Bool, noise_px: Float64) -> None:
+        """Sets what hands and stamps may be off by to what they are off by, beyond what noise of the corners tells."""
+        if not look.state.course.moves:
             return
-        variances, delays = self.equations(look, kept, noise_px).delay_variances(), look.state.delays
-        jitter, used = self.jitter.copy(), kept.any(axis=1)
-        for camera in range(len(jitter)):
-            views = np.flatnonzero((self.camera == camera) & used)
-            told = 1 - variances[views] / jitter[camera] ** 2  # 0: of the delay nothing is known but the jitter
-            noise = told * variances[views]
-            likely = told**2 * jitter[camera] ** 2 + noise
-            square = float((np.minimum(delays[views] ** 2, FAR_SIGMAS**2 * likely) / FAR_SHARE - noise).sum())
-            square /= max(float((told**2).sum()), LEAST_TOLD_IMAGES)
-            least = max(jitter[camera] / JITTER_FALL, LEAST_JITTER_S)
-            jitter[camera] = np.clip(np.sqrt(max(square, 0.0)), least, MOST_JITTER_S)
-        self.jitter = jitter
+        equations = self.equations(look, kept, noise_px)
+        self.hands = self.hands.measured(look.state.course, equations.normal)
+        if self.jitter.any():
+            used = np.where(kept.any(axis=1), self.camera, NOWHERE)
+            self.jitter = measured_jitter(equations, self.jitter, look.state.delays, used)
 
     def look(self, state: BundleState) -> Look:
         """Where a state would have everything be seen."""
@@ -175,12 +157,14 @@ class BundleProblem:
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
         clocks += float(((state.readouts / READOUT_SIGMA_S) ** 2).sum())
         clocks += float(((state.delays / np.maximum(self.jitter, LEAST_JITTER_S)[self.camera]) ** 2).sum())
-        return 0.5 * (float(robust.sum()) + lenses + board + clocks + float((roughness(state.course) ** 2).sum()))
+        return 0.5 * (
+            float(robust.sum()) + lenses + board + clocks + float((self.hands.roughness(state.course) ** 2).sum())
+        )
 
     def equations(self, look: Look, kept: Bool, noise_px: Float64) -> BundleEquations:
         """The equations about a state."""
         state = look.state
-        reach = 4 if any(stretch.count > 1 for stretch in state.course.stretches) else 1
+        reach = 4 if state.course.moves else 1
         equations = NormalEquations(6 * len(state.course.quats), 6 * reach - 1, self.layout.size)
         weights, controls = self._weights(look, kept, noise_px), self._blend(state).controls
         late = []
@@ -189,7 +173,7 @@ class BundleProblem:
             views = np.flatnonzero(self.camera == camera)
             views = views[np.argsort(controls[views, 0], kind="stable")]
             late += self._add_camera(equations, look, weights, views, controls[views])
-        add_smoothness(equations, state.course)
+        self.hands.add_to(equations, state.course)
         self._add_priors(equations, state)
         return BundleEquations(equations, tuple(late), len(self.camera))
 

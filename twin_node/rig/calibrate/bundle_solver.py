@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
-from twin_node.rig.calibrate.bundle_problem import JITTER_SIGMA_S, BundleProblem, Look
+from twin_node.rig.calibrate.bundle_problem import BundleProblem, Look
+from twin_node.rig.calibrate.stamp_jitter import JITTER_SIGMA_S
 from twin_node.scene import Bool, Float64
 
 OUTLIER_SIGMAS = 6.0
@@ -51,26 +52,27 @@ def solve_bundle(
     start: BundleState,
     sightings: Sequence[Sighting],
     options: BundleOptions | None = None,
-    jitter_s: Float64 | None = None,
+    earlier: BundleResult | None = None,
 ) -> BundleResult:
     """The state that explains all sightings best, from a start within the basin of convergence.
 
     Each camera's noise is estimated from its own residuals, and the jitter of its stamps from its images' delays;
-    corners, and images, that do not fit are left out. `jitter_s` [C]: what an earlier solution found.
+    corners, and images, that do not fit are left out. `earlier`: a solution whose jitter, and hands, to begin with.
     """
     problem = BundleProblem(start, sightings, options or BundleOptions())
     look, kept, noise = problem.look(start), problem.seen, np.ones(len(start.lenses))
-    if problem.delayed and jitter_s is None:
+    if earlier is not None:
+        problem.jitter, problem.hands = earlier.jitter_s, earlier.hands
+    elif problem.delayed:
         # Beside a course that is still far off, images near its ends take delays of 30 ms and more, and keep them.
         look = minimise(problem, look, kept, noise, ROUGHLY)
-        jitter_s = np.full(len(noise), JITTER_SIGMA_S)
-    problem.jitter = problem.jitter if jitter_s is None else jitter_s
+        problem.jitter = np.full(len(noise), JITTER_SIGMA_S)
     for _ in range(ROUNDS):
         look, before, jitter = minimise(problem, look, kept, noise, ROUGHLY), kept, problem.jitter
         noise = _noise(look.residuals, kept, problem.camera, len(noise))
         kept = _inliers(look.residuals, problem.seen, noise[problem.camera])
         problem.measure_board(look.state)
-        problem.measure_jitter(look, kept, noise)
+        problem.measure_motion(look, kept, noise)
         steady = np.allclose(problem.jitter, jitter, rtol=STEADY, atol=STEADY_S)
         if steady and (kept != before)[problem.seen].mean() < SETTLED:
             break
@@ -83,6 +85,7 @@ def solve_bundle(
         tuple(residual[own] for _, own, residual in views if own.any()),
         noise,
         problem.jitter,
+        problem.hands,
         partial(problem.covariance, look, kept, noise),
         problem.layout,
         tuple(sighting for sighting, own, _ in views if not own.any()),

@@ -8,9 +8,9 @@ import numpy as np
 
 from twin_node.geometry import transform
 from twin_node.rig.calibrate.bundle import BundleResult, Sighting
-from twin_node.rig.calibrate.bundle_problem import MOST_JITTER_S
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.pose_graph import board_pose
+from twin_node.rig.calibrate.stamp_jitter import MOST_JITTER_S
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
 

@@ -19,7 +19,7 @@ from twin_node.rig.calibrate.rotations import cross_matrix, quat_product
 from twin_node.scene import Float64
 
 ACCELERATION = 30.0
-"""1 sigma of what a board is accelerated by in somebody's hands, m/s^2: it only bridges what no image shows."""
+"""1 sigma of what a board is accelerated by in somebody's hands, m/s^2: at first; a bundle measures what it is."""
 
 TURN_ACCELERATION = 100.0
 """The same of its turning, rad/s^2."""
@@ -120,6 +120,11 @@ class Course:
         quats = quat_product(self.quats, turn)
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         return Course(self.stretches, quats, self.positions + change[:, 3:])
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a stretch in which the board does not stand still."""
+        return any(stretch.count > 1 for stretch in self.stretches)
 
     @property
     def bends(self) -> NDArray[np.int64]:

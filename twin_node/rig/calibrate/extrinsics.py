@@ -120,7 +120,7 @@ def _solved(start: Start, options: RigOptions) -> BundleResult:
     free = BundleOptions(options.lenses, bool(options.board), options.clocks)
     bundle = solve_bundle(start.state, start.sightings, free)
     if options.board is None:
-        bent = solve_bundle(bundle.state, start.sightings, replace(free, board=True), bundle.jitter_s)
+        bent = solve_bundle(bundle.state, start.sightings, replace(free, board=True), bundle)
         bundle = bent if board_pays(bundle, bent) else bundle
     return bundle
 

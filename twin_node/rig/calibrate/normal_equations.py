@@ -89,10 +89,15 @@ class NormalEquations:
         A[0] += HELD
         reach = cho_solve_banded((cholesky_banded(A, lower=True), True), B)
         rest = by_outer - (by_inner[:, None] @ reach[columns])[:, 0]
-        pairs = np.stack(np.broadcast_arrays(columns[:, :, None], columns[:, None]))
-        within = inverse_band(A)[np.ptp(pairs, axis=0), pairs.min(axis=0)]
-        inner = (by_inner[:, None] @ within @ by_inner[..., None])[:, 0, 0]
+        inner = (by_inner[:, None] @ self.inner_covariances(columns) @ by_inner[..., None])[:, 0, 0]
         return np.asarray(inner + ((rest @ self.outer_covariance()) * rest).sum(1))
+
+    def inner_covariances(self, columns: NDArray[np.int64]) -> Float64:
+        """[V, n, n] of inner unknowns at `columns` [V, n], no further apart than those of a block, all outer known."""
+        A = self._A.T.copy()
+        A[0] += HELD
+        pairs = np.stack(np.broadcast_arrays(columns[:, :, None], columns[:, None]))
+        return np.asarray(inverse_band(A)[np.ptp(pairs, axis=0), pairs.min(axis=0)])
 
     def outer_covariance(self) -> Float64:
         """[outer, outer] inverse of the Schur complement; what rounding leaves of an unknown is open, not certain."""

@@ -28,13 +28,14 @@ WINDOWS_PER_PAIR, WINDOW_S = 16, 2.0
 """Parts of a moving board's course used of each pair of cameras (and of each camera alone), and their length."""
 
 STEP_S = 0.1
-"""Time between control poses of a board's course where the cameras are faster: hands turn about at up to 3 Hz."""
+"""Time between control poses of a board's course, however slow the cameras are: hands turn about at up to 3 Hz."""
 
 LEAST_PERIOD = 0.6
 """Images of one camera closer than this share of a step say little more than one of them."""
 
 PAUSE_STEPS = 3.0
-"""A pause longer than so many steps, in which no camera sees the board, ends a stretch of its course."""
+"""A pause longer than so many steps, or periods of the cameras, in which none sees the board, ends a stretch of its
+course."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,12 @@ def start_of(
     _check_connected(graph, [camera.name for camera in cameras], len(chosen))
     T_rig_cam = np.stack([graph.T_rig_cam[i] for i in range(len(cameras))])
     if all(camera.moving for camera in cameras):
-        step_s = max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
+        pause_s = PAUSE_STEPS * max(STEP_S, float(np.median([camera.period_s for camera in cameras])))
         windows = _windows(first_look, len(cameras), stamps)
         if wanted_ns is not None:
             windows.add(int((wanted_ns - origin) / 1e9 // WINDOW_S))
-        seen = _in_stretches([*_images(board, cameras, origin, windows, step_s)], step_s)
-        course = _moving_course(board, lenses, T_rig_cam, seen.sightings, step_s)
+        seen = _in_stretches([*_images(board, cameras, origin, windows)], pause_s)
+        course = _moving_course(board, lenses, T_rig_cam, seen.sightings)
         clocks_hold_at_s = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
     else:
         seen = _Seen(tuple(sets), tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets))
@@ -136,7 +137,6 @@ def _moving_course(
     lenses: Sequence[Lens],
     T_rig_cam: NDArray[np.float64],
     sightings: Sequence[Sighting],
-    step_s: float,
 ) -> Course:
     """The board's, near where each image alone has it."""
     poses = [board_pose(lenses[s.camera], board.points[s.corners.ids], s.corners.pixels) for s in sightings]
@@ -145,7 +145,7 @@ def _moving_course(
         own = [(s, T) for s, T in zip(sightings, poses, strict=True) if s.board == stretch and T is not None]
         times.append(np.array([s.time_s for s, _ in own]))
         places.append(np.stack([T_rig_cam[s.camera] @ T for s, T in own]))
-    return smooth_course(times, places, step_s)
+    return smooth_course(times, places, STEP_S)
 
 
 def _check_connected(graph: PoseGraph, names: Sequence[str], boards: int) -> None:
@@ -187,9 +187,7 @@ class _Image:
     sighting: Sighting
 
 
-def _images(
-    board: Board, cameras: Sequence[CameraRecording], origin: int, windows: set[int], step_s: float
-) -> Iterator[_Image]:
+def _images(board: Board, cameras: Sequence[CameraRecording], origin: int, windows: set[int]) -> Iterator[_Image]:
     """The images of all cameras within the windows, none closer to its camera's last than makes sense."""
     for number, camera in enumerate(cameras):
         last = -np.inf
@@ -197,7 +195,7 @@ def _images(
             time = (stamp - origin) / 1e9
             if corners is None or not usable(board, corners) or time // WINDOW_S not in windows:
                 continue
-            if time - last >= LEAST_PERIOD * step_s:
+            if time - last >= LEAST_PERIOD * STEP_S:
                 last = time
                 yield _Image(f"{camera.name}: {image}", Sighting(number, 0, corners, time))
 
@@ -208,11 +206,11 @@ class _Seen:
     names: tuple[str, ...]
 
 
-def _in_stretches(images: Sequence[_Image], step_s: float) -> _Seen:
+def _in_stretches(images: Sequence[_Image], pause_s: float) -> _Seen:
     """Images in the order of time, their sightings numbered by stretch."""
     ordered = sorted(images, key=lambda image: image.sighting.time_s)
     times = np.array([image.sighting.time_s for image in ordered])
-    stretches = np.concatenate([[0], np.cumsum(np.diff(times) > PAUSE_STEPS * step_s)])
+    stretches = np.concatenate([[0], np.cumsum(np.diff(times) > pause_s)])
     sightings = tuple(
         Sighting(image.sighting.camera, int(stretch), image.sighting.corners, image.sighting.time_s)
         for image, stretch in zip(ordered, stretches, strict=True)
