@@ -16,6 +16,7 @@ from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedVi
 from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import islands
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
+from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
 from twin_node.thinning import thinned
@@ -103,11 +104,12 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     own = [Sighting(group.index(s.camera), s.board, s.corners) for s in first_look if s.camera in group]
     start = start_of(board, members, [lenses[i] for i in group], own, stamps, options.base_ns)
     bundle = _solved(start, options)
-    moving = all(camera.moving for camera in members)
-    check_fit([camera.name for camera in members], start.state.lenses, start.sightings, bundle, moving)
+    moving, names = all(camera.moving for camera in members), tuple(camera.name for camera in members)
+    check_fit(names, start.state.lenses, start.sightings, bundle, moving)
+    check_steady(names, start.sightings, bundle)
     return RigSolution(
         board,
-        tuple(camera.name for camera in members),
+        names,
         bundle,
         start.origin_ns,
         (*_misread(given, cameras), *_unfitting(start, bundle)),
