@@ -19,7 +19,7 @@ from twin_node.rig.calibrate.rotations import cross_matrix, quat_product
 from twin_node.scene import Float64
 
 ACCELERATION = 30.0
-"""1 sigma of what a board is accelerated by in somebody's hands, m/s^2: at first; a bundle measures what it is."""
+"""1 sigma of the most that a board is accelerated by in somebody's hands, m/s^2; a bundle measures what it is."""
 
 TURN_ACCELERATION = 100.0
 """The same of its turning, rad/s^2."""

@@ -12,8 +12,9 @@ from twin_node.rig.calibrate.normal_equations import NormalEquations
 from twin_node.rig.calibrate.rotations import quat_product
 from twin_node.scene import Float64
 
-STEADIEST = 1 / 30
-"""Hands are never taken for steadier than this share of what they may be at first."""
+USUAL, STEADIEST = 1 / 10, 1 / 30
+"""Shares of the most that hands do: what they are taken for at first, so that the clocks of slow cameras are told from
+the start, and the least that they are ever taken for."""
 
 LEAST_TOLD = 6.0
 """Accelerations are told by so many second differences at least."""
@@ -23,9 +24,9 @@ LEAST_TOLD = 6.0
 class Hands:
     """1 sigma of how a board is accelerated between control poses."""
 
-    turning: float = TURN_ACCELERATION
+    turning: float = USUAL * TURN_ACCELERATION
     """rad/s^2."""
-    moving: float = ACCELERATION
+    moving: float = USUAL * ACCELERATION
     """m/s^2."""
 
     def roughness(self, course: Course) -> Float64:
@@ -52,12 +53,13 @@ class Hands:
         open_ = np.einsum("bij,bjk,bik->bi", J, equations.inner_covariances(_columns(course)), J)
         squares = self.roughness(course) ** 2
         sigmas = []
-        for start, own in ((TURN_ACCELERATION, slice(4)), (ACCELERATION, slice(4, 7))):
+        for sigma, most, own in (
+            (self.turning, TURN_ACCELERATION, slice(4)),
+            (self.moving, ACCELERATION, slice(4, 7)),
+        ):
             told = 3 * len(squares) - float(open_[:, own].sum())  # a quaternion turns about three axes
-            sigma = (self.turning if own.start is None else self.moving) * np.sqrt(
-                float(squares[:, own].sum()) / max(told, LEAST_TOLD)
-            )
-            sigmas.append(float(np.clip(sigma, STEADIEST * start, start)))
+            found = sigma * np.sqrt(float(squares[:, own].sum()) / max(told, LEAST_TOLD))
+            sigmas.append(float(np.clip(found, STEADIEST * most, most)))
         return Hands(*sigmas)
 
     def _slopes(self, course: Course) -> Float64:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
+from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Layout, Sighting
+from twin_node.rig.calibrate.bundle_equations import Change
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float64
+from twin_node.scene import Bool
 
 MOST_GAIN = 25.0
 """Nine numbers more gain 4.5 by chance, this once in ten million times; real boards and shutters make it up to 10."""
@@ -31,7 +32,7 @@ class Split:
     """A camera's later images, as if another one had taken them."""
 
     gain: float
-    """By how much half the sum of squares, in sigmas, would be less."""
+    """By how much half the sum of squares, in sigmas, would be less than it is, or can be with one camera."""
     shift_m: float
     """Between where the two would stand."""
     turn_rad: float
@@ -60,33 +61,48 @@ def check_steady(names: Sequence[str], given: Sequence[Sighting], bundle: Bundle
 
 def split(given: Sequence[Sighting], bundle: BundleResult, camera: int) -> Split:
     """What the later half of one camera's images would gain; `given`: the sightings that the bundle was made of."""
-    lost = {id(sighting) for sighting in bundle.left_out}
-    kept = np.array([id(sighting) not in lost for sighting in given])
     times = np.array([sighting.time_s for sighting in bundle.sightings])
     own = np.array([sighting.camera == camera for sighting in bundle.sightings])
-    late = own & (times > np.median(times[own]))
     other = len(bundle.state.lenses)
+    late = own & (times > np.median(times[own]))
+    if not late.any():
+        return Split(0.0, 0.0, 0.0, 0.0)
+    one, two = _step(given, bundle, camera, np.zeros_like(late)), _step(given, bundle, camera, late)
+    moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
+    if camera > 0:
+        moved = moved - two.change.outer[two.layout.camera(camera)]
+        later -= two.change.outer[two.layout.clock(camera)][:1].sum()
+    shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
+    return Split(two.gain - one.gain, shift_m, turn_rad, float(later))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of the solver beside which another camera took some of the images."""
+
+    change: Change
+    gain: float
+    """Half the sum of squares, in sigmas, that it would be less by."""
+    layout: Layout
+
+
+def _step(given: Sequence[Sighting], bundle: BundleResult, camera: int, late: Bool) -> _Step:
+    """`late` [V] of the bundle's sightings are those of the other camera, as `camera` is at first; none: no other."""
+    lost = {id(sighting) for sighting in bundle.left_out}
+    kept = np.array([id(sighting) not in lost for sighting in given])
+    other = len(bundle.state.lenses)
+    cameras = [*range(other), camera] if late.any() else [*range(other)]
     sightings = [replace(s, camera=other) if new else s for s, new in zip(bundle.sightings, late, strict=True)]
-
-    def doubled(values: Float64) -> Float64:
-        return np.concatenate([values, values[[camera]]])
-
     state = replace(
         bundle.state,
-        T_cam_rig=doubled(bundle.state.T_cam_rig),
-        lenses=(*bundle.state.lenses, bundle.state.lenses[camera]),
-        clocks=doubled(bundle.state.clocks),
-        readouts=doubled(bundle.state.readouts),
+        T_cam_rig=bundle.state.T_cam_rig[cameras],
+        lenses=tuple(bundle.state.lenses[i] for i in cameras),
+        clocks=bundle.state.clocks[cameras],
+        readouts=bundle.state.readouts[cameras],
         delays=bundle.state.delays[kept],
     )
     problem = BundleProblem(state, sightings, BundleOptions(lenses=False, clocks=bundle.layout.clocks))
-    problem.jitter, problem.hands = doubled(bundle.jitter_s), bundle.hands
-    equations = problem.equations(problem.look(state), problem.seen, doubled(bundle.noise_px))
-    change, slopes = equations.solution(DAMPING), equations.normal.slopes
-    gain = 0.5 * float(change.inner @ slopes[0] + change.outer @ slopes[1])
-    layout = problem.layout
-    moved, later = change.outer[layout.camera(other)], change.outer[layout.clock(other)][:1].sum()
-    if camera > 0:
-        moved = moved - change.outer[layout.camera(camera)]
-        later -= change.outer[layout.clock(camera)][:1].sum()
-    return Split(gain, float(np.linalg.norm(moved[3:])), float(np.linalg.norm(moved[:3])), float(later))
+    problem.jitter, problem.hands = bundle.jitter_s[cameras], bundle.hands
+    equations = problem.equations(problem.look(state), problem.seen, bundle.noise_px[cameras])
+    change, (inner, outer) = equations.solution(DAMPING), equations.normal.slopes
+    return _Step(change, 0.5 * float(change.inner @ inner + change.outer @ outer), problem.layout)
