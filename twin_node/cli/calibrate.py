@@ -179,13 +179,33 @@ def _rig(options: argparse.Namespace) -> None:
     )
     solution = calibrate_rig(board, cameras, rig_options)
     T_base_rig = None if base_ns is None else board_as_base(solution, base_ns)
+    lost = _written_by_hand(options.output)
     save_rig(rig_file_of(solution, T_base_rig), options.output)
     if options.json:
         print(json.dumps(_rig_figures(solution)))
     else:
         _show_rig(solution, options.output)
+    if lost:
+        print(
+            f"twin_node: warning: {options.output} is replaced: write anew what it held by hand: {', '.join(lost)}",
+            file=sys.stderr,
+        )
     for name in solution.unconnected:
         print(f"twin_node: warning: camera {name} shares no view of the board: left out", file=sys.stderr)
+
+
+def _written_by_hand(path: Path) -> list[str]:
+    """What a rig file that is about to be replaced holds that no calibration of a board writes."""
+    from twin_node.rig import RigError, load_rig
+
+    if not path.is_file():
+        return []
+    try:
+        before = load_rig(path, facing=False)
+    except RigError:  # no rig file: nothing of it could be taken over
+        return []
+    held = {"workspace": before.rig.workspace is not None, "notes": before.notes, "videos": any(before.sources)}
+    return [name for name, there in held.items() if there]
 
 
 def _rig_figures(solution: RigSolution) -> dict[str, object]:

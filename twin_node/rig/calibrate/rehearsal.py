@@ -134,7 +134,8 @@ def _looking(centre: Float64, target: Float64) -> Float64:
 
 def _course(second: float) -> Float64:
     """`T_base_board` [4, 4]: waved about above the base, tilted to all sides, then laid down."""
-    lifted = float(np.clip((MOVES_S - second) / 1.5, 0, 1))  # the last second and a half lay it down
+    left = float(np.clip((MOVES_S - second) / 1.5, 0, 1))  # the last second and a half lay it down
+    lifted = left**2 * (3 - 2 * left)
     middle = np.diag([1.0, -1.0, -1.0])
     wave = 2 * np.pi * second * np.array([0.11, 0.07, 0.13])
     tilt = lifted * np.array([0.75 + 0.45 * np.sin(wave[1]), 0.5 * np.sin(wave[0]), 0.5 * np.sin(wave[2])])
