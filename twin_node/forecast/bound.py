@@ -21,8 +21,9 @@ MEMORY_S = 2.0
 """Time constant in which old errors lose their say, s: a gesture or two."""
 FIRST_FACTOR = 0.55
 """Common factor before there is a record: parts of a hull of silhouettes hold more than what moves."""
-LEAST_FACTOR, MOST_FACTOR = 0.05, 3.0
-"""Of the common factor: below the former the radii are those of voxels, whatever they are multiplied by."""
+LEAST_FACTOR, MOST_FACTOR = 0.5, 3.0
+"""Of the common factor. What images show tells nothing of sides that no camera sees: while something goes on in one way
+for long, the factor would shrink until slivers of these are missed, and no coverage that is seen would say so."""
 RELIEF = 2.0
 """Time constant in which the factor returns to its level when nothing is missed, in horizons."""
 LARGEST_RADIUS = 0.8

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from twin_node.model.camera_mask import CHANGE_LEVELS, CHANGE_SIGMAS, DEPTH_LEVELS, NEAR_M, CameraMask, seen_by
 from twin_node.scene import Bool, Float32, View
 
-STANDS_NS = 10_000_000_000
-"""How long a thing must have looked the same, ns: longer than people keep as still as that, and than most things wait
-that are moved again."""
+STANDS_NS = 20_000_000_000
+"""How long a thing must have looked the same, ns: longer than people keep as still as that, a hand on a table too, and
+than most things wait that are moved again; as long as what has moved is given room to start."""
 LOOK_NS = 500_000_000
 """Time between two looks for what has come to rest, ns, each at two images in a row: what turns may look the same at
 every look. What has come to rest is looked at in every image."""

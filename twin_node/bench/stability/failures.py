@@ -64,6 +64,10 @@ def _faint(level: float, seconds: float) -> Scenario:
     return one_box(circling(CALM), seconds, faint(level))
 
 
+def _steady(level: float, seconds: float) -> Scenario:
+    return one_box(circling(0.4), seconds)
+
+
 def _noisy_depth(level: float, seconds: float) -> Scenario:
     scene = calm(level, seconds)
     return replace(scene, sensing=replace(scene.sensing, depth_sigma_at_1m_mm=level))
@@ -109,10 +113,11 @@ FAILURES: Mapping[str, Failure] = {
     "image_noise": Failure("image noise", "levels", (5, 10, 20, 40), calm, wrong.image_noise),
     "noise_only": Failure("noise in place of images", "share", (0.25, 0.5, 0.75, 1), calm, wrong.noise_only),
     "black_frames": Failure("black images in a row", "sets", (1, 3, 10, 30), calm, wrong.black_frames),
+    "steady": Failure("steady motion", "s", (5, 10, 20, 40), _steady, seconds=lambda long, _: long),
     "hours": Failure("long runs", "bounces", (2, 4, 8), calm, untouched, lambda bounces, s: bounces * s),
 }
 """By the names that `--json` prints."""
 UNDISTURBED = ("undisturbed",)
 """Those in which nothing goes wrong: on them the status must say so."""
-LONG = ("hours",)
+LONG = ("steady", "hours")
 """Those whose runs are longer than all others."""
