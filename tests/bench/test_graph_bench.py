@@ -84,7 +84,7 @@ def test_silence_counts_from_the_last_message_that_arrived() -> None:
     heard += [told(last + 95, 0.2, 20), told(last + 145, 0.2, 20), told(last + 195, 0.0, 20)]
     heard += [told(last + 2000, 0.0, 21), told(last + 2033, 0.01, 22)]
     cut = Cut(0.0, (last - 10) * 1e-3, (last + 1500) * 1e-3)
-    found = figures_of(heard, [cut], 0.02, 0.01)
+    found = figures_of(heard, [cut])
     assert (found.slow_after_s, found.stopped_after_s) == (pytest.approx(0.095), pytest.approx(0.195))
     assert found.resumes_after_s == pytest.approx(0.533)
     assert (found.out_of_order, found.slow_share) == (0, 0.0)
@@ -96,7 +96,7 @@ def test_an_arm_that_is_never_stopped_is_not_hidden_by_one_that_is() -> None:
     heard += [told(4100, 1.0, 33), told(4900, 1.0, 34)]
     cuts = [Cut(0.0, 0.96, 2.9), Cut(3.0, 3.5, 4.8)]
     for ordered in (cuts, cuts[::-1]):
-        found = figures_of(heard, ordered, 0.02, 0.01)
+        found = figures_of(heard, ordered)
         assert found.stopped_after_s == found.slow_after_s == math.inf
     assert '"stopped_after_s": null' in json_text(dataclasses.asdict(found))
 
