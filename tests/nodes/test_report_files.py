@@ -23,7 +23,7 @@ from twin_node.nodes.report.quality import Quality
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import FrameSet, Separation
+from twin_node.scene import FrameSet, RigCamera, Separation
 
 
 def short_run() -> Run:
@@ -39,7 +39,7 @@ def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
     """Of a log in which one camera has another clock than the others all sets were made of it alone, in silence."""
     run = short_run()
     run.collector.arrived, run.collector.images = 10, {"a": 10, "b": 2}
-    lines = run.missed(["a", "b", "c"])
+    lines = run.missed([RigCamera(name, 4, 3, np.eye(3), np.eye(4)) for name in "abc"])
     assert [line.split(": its")[0] for line in lines] == [
         "camera b: in only 2 of 10 sets",
         "camera c: in only 0 of 10 sets",

@@ -82,7 +82,7 @@ class BirthParameters:
 
     per_set: int = 200
     """Gaussians born per set at most."""
-    moving_share: float = 0.064
+    moving_share: float = 0.0625
     """Share of the capacity that Gaussians which are not STATIC may take: one per six pixels where an eighth moves.
     More than twice as many are worth 0.1 to 0.3 dB of what moves in a recorded cell, 0.9 where a quarter of all pixels
     moves, and cost a tenth of the sets."""
