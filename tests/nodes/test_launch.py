@@ -57,7 +57,7 @@ def is_alive(pid: int) -> bool:
 
 
 def test_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:
-    arguments = [f"log:={cell_log(1.2)}", "rate:=0.2"]
+    arguments = [f"log:={cell_log(1.2)}", "rate:=0.1"]  # begins anew after 12 s: by then a twin has loaded
     plan = read_launch_file("launch/replay.yaml", arguments, [*QUICK, "player.loop:=true"])
     decides(plan, tmp_path, free_endpoint())
 
