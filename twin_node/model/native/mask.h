@@ -8,6 +8,7 @@
 
 #include "colours.h"
 #include "interface.h"
+#include "planes.h"
 #include "regions.h"
 
 namespace model {
@@ -20,28 +21,6 @@ constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
 constexpr double kNearM = 0.01;
 static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
-
-using Gains = std::array<float, 3>;
-
-struct Planes {
-  const float *data;
-  int64_t pixels;
-  float operator()(int channel, int64_t at) const { return data[channel * pixels + at]; }
-};
-
-// Largest difference over the channels of image and other * gain.
-inline float difference(const Planes &image, const Planes &other, const Gains &gain, int64_t at) {
-  float most = 0.f;
-  for (int k = 0; k < 3; k++) most = std::max(most, std::fabs(image(k, at) - other(k, at) * gain[k]));
-  return most;
-}
-
-// The upper median of values, which are put in another order.
-inline float middle(std::vector<float> &values) {
-  const auto half = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), half, values.end());
-  return *half;
-}
 
 // One camera's update: its stages in the order in which they are called.
 class MaskUpdate {

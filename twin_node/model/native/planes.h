@@ -1,0 +1,35 @@
+// Images as one plane per channel, and how they differ.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace model {
+
+using Gains = std::array<float, 3>;
+
+struct Planes {
+  const float *data;
+  int64_t pixels;
+  float operator()(int channel, int64_t at) const { return data[channel * pixels + at]; }
+};
+
+// Largest difference over the channels of image and other * gain.
+inline float difference(const Planes &image, const Planes &other, const Gains &gain, int64_t at) {
+  float most = 0.f;
+  for (int k = 0; k < 3; k++) most = std::max(most, std::fabs(image(k, at) - other(k, at) * gain[k]));
+  return most;
+}
+
+// The upper median of values, which are put in another order.
+inline float middle(std::vector<float> &values) {
+  const auto half = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), half, values.end());
+  return *half;
+}
+
+}  // namespace model
