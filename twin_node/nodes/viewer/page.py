@@ -61,7 +61,8 @@ class CellPage:
         self._picked: PickedThing | None = None
         self._changed = threading.Event()
         self.set_cameras(cameras)
-        self.server.gui.configure_theme(dark_mode=False, show_logo=False)
+        # Gaussians are fitted with black behind them: on white, what is dark and lets light through would shine.
+        self.server.gui.configure_theme(dark_mode=True, show_logo=False)
         self._problem = self.server.gui.add_markdown("", visible=False)
         self._arm_words = self.server.gui.add_markdown("Waiting for a twin.")
         with self.server.gui.add_folder("Picked"):
