@@ -63,11 +63,16 @@ def test_a_driver_that_may_resume_waits_anew_after_each_time_that_something_was_
     assert bench.ms_until(DriverState.READY) >= 500
 
 
-def test_what_the_safety_system_stopped_never_resumes_by_itself() -> None:
+@pytest.mark.parametrize(
+    ("mode", "name"),
+    [(3, "PROTECTIVE_STOP"), (14, "TP_THREE_POSITION_ENABLING_STOP"), (20, "PROFISAFE_EMERGENCY_STOP"), (29, "29")],
+)
+def test_what_the_safety_system_stopped_never_resumes_by_itself(mode: int, name: str) -> None:
+    """Nor where it was stopped in a mode that only newer controllers have."""
     bench = Bench(resumes=True)
     bench.run(320)
-    bench.link.tell(safety_mode=3)
-    bench.run(200)
+    bench.link.tell(safety_mode=mode)
+    assert bench.run(200).reason.startswith(f"safety mode {name}: clear it")
     bench.link.tell(safety_mode=1)
     assert bench.run(2000).state is DriverState.HALTED
 

@@ -43,6 +43,7 @@ def test_another_number_of_joints_is_refused(field: str, count: int) -> None:
         ({"robot_mode": 1072693248}, "no such modes"),
         ({"safety_mode": -5}, "no such modes"),
         ({"safety_mode": 0}, "no such modes"),
+        ({"safety_mode": 1072693248}, "no such modes"),
         ({"runtime_state": 77}, "runtime state 77"),
         ({"speed_slider": 1.5}, "speed slider 1.5"),
         ({"speed_slider": float("nan")}, "speed slider nan"),

@@ -35,7 +35,7 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
-    """RTDE `safety_mode`."""
+    """RTDE `safety_mode`, as in UR's client library; newer controllers have more of them."""
 
     NORMAL = 1
     REDUCED = 2
@@ -50,6 +50,19 @@ class SafetyMode(IntEnum):
     UNDEFINED_SAFETY_MODE = 11
     AUTOMATIC_MODE_SAFEGUARD_STOP = 12
     SYSTEM_THREE_POSITION_ENABLING_STOP = 13
+    TP_THREE_POSITION_ENABLING_STOP = 14
+    IMMI_EMERGENCY_STOP = 15
+    IMMI_SAFEGUARD_STOP = 16
+    PROFISAFE_WAITING_FOR_PARAMETERS = 17
+    PROFISAFE_AUTOMATIC_MODE_SAFEGUARD_STOP = 18
+    PROFISAFE_SAFEGUARD_STOP = 19
+    PROFISAFE_EMERGENCY_STOP = 20
+    SAFETY_API_SAFEGUARD_STOP = 22
+
+
+_MOST_SAFETY_MODE = 63
+"""A mode up to here that has no name yet is one of a newer controller, and lets nothing move; numbers of a package of
+the wrong layout are far beyond, or 0."""
 
 
 class RuntimeState(IntEnum):
@@ -63,9 +76,8 @@ class RuntimeState(IntEnum):
     RESUMING = 5
 
 
-_ROBOT_MODES, _SAFETY_MODES, _RUNTIME_STATES = (
-    frozenset(int(value) for value in kind) for kind in (RobotMode, SafetyMode, RuntimeState)
-)
+_SAFETY_MODES = {int(mode): mode.name for mode in SafetyMode}
+_ROBOT_MODES, _RUNTIME_STATES = (frozenset(int(value) for value in kind) for kind in (RobotMode, RuntimeState))
 
 
 @dataclass(frozen=True)
@@ -120,7 +132,7 @@ def implausible(model: ArmModel, sample: UrSample, previous: UrSample | None) ->
     """Why a sample cannot be true, in words; None: it can.
 
     A package of the wrong layout is decoded by `ur_rtde` without complaint: its numbers land in wrong fields. So
-    modes outside their lists, speeds beyond the joints' ratings and jumps are refused as much as NaN.
+    modes that cannot be, speeds beyond the joints' ratings and jumps are refused as much as NaN.
     """
     for name, values in (
         ("joint angles", sample.q),
@@ -132,7 +144,7 @@ def implausible(model: ArmModel, sample: UrSample, previous: UrSample | None) ->
             return f"controller sent {values.size} {name}, expected {model.joints}"
         if not np.isfinite(values).all():
             return f"controller sent {name} that are not finite"
-    if sample.robot_mode not in _ROBOT_MODES or sample.safety_mode not in _SAFETY_MODES:
+    if sample.robot_mode not in _ROBOT_MODES or not 0 < sample.safety_mode <= _MOST_SAFETY_MODE:
         return f"controller sent robot mode {sample.robot_mode}, safety mode {sample.safety_mode}: no such modes"
     if sample.runtime_state not in _RUNTIME_STATES or not 0 <= sample.speed_slider <= 1:
         return f"controller sent runtime state {sample.runtime_state}, speed slider {sample.speed_slider:g}: no such"
@@ -144,7 +156,7 @@ def implausible(model: ArmModel, sample: UrSample, previous: UrSample | None) ->
 def not_ready(sample: UrSample) -> str | None:
     """Why the arm may not move, in words; None: it may."""
     if sample.safety_mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED):
-        return f"safety mode {SafetyMode(sample.safety_mode).name}: clear it on the pendant"
+        return f"safety mode {_SAFETY_MODES.get(sample.safety_mode, sample.safety_mode)}: clear it on the pendant"
     if sample.robot_mode != RobotMode.RUNNING:
         return f"robot mode {RobotMode(sample.robot_mode).name}: switch power on and release the brakes"
     return None
