@@ -29,6 +29,8 @@ UPWARD, LEVEL = 0.25, 0.3
 degrees down from an optical one, whose y points down unless its camera lies on its side."""
 LOOKED_AT = 500
 """Messages with transforms that tell what moves: a second of a controller at 500 Hz."""
+CONTROLLERS_BASE = "base"
+"""Frame of the poses that a robot's controller tells (REP-199); where it is in `base_link`, its maker decides."""
 ANOTHER_PLACE_M = 0.005
 """So far apart are no two frames of one lens, m; lenses of one device are 15 mm and more."""
 
@@ -62,9 +64,16 @@ def damage_first(log: LogReader) -> Iterator[None]:
 def load_base_rig(file: Path) -> Rig:
     """The rig of a file for a twin that judges an arm. Raises `RigError` for a file that is none.
 
-    Raises `GraphError` for poses seen from a camera or the flange: the arm would be judged as if it stood there.
+    Raises `GraphError` for poses seen from a camera or the flange, as if the arm stood there, and for such in `base`:
+    so UR's controller calls what is turned by half a turn against `base_link`.
     """
     found = load_rig(file)
+    if found.frame == CONTROLLERS_BASE:
+        raise GraphError(
+            f"{file}: expected cameras' poses in base_link, found them in {found.frame!r}, the base of an arm's "
+            "controller, which UR's turns by half a turn about z: negate the first two rows of each T_base_cam, and "
+            "workspace's x and y, and write frame: base_link (of an arm whose base is its base_link that alone)"
+        )
     if found.frame.endswith("optical_frame") or found.frame in ("tool0", "flange"):
         raise GraphError(
             f"{file}: expected cameras' poses in the robot's base (frame: base_link), found them in {found.frame!r}; "
