@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from both_ways import STAMP, assert_same, sent
@@ -55,6 +56,46 @@ def test_rectified_images_were_seen_by_p_without_distortion() -> None:
         c.rig_camera(info, "front", np.eye(4), is_rectified=True)
     straight = c.rig_camera(replace(info, d=np.zeros(5)), "front", np.eye(4), is_rectified=True)
     np.testing.assert_array_equal(straight.K, camera().K)
+
+
+@pytest.mark.parametrize("is_rectified", [True, False])
+def test_a_stereo_pair_is_where_its_calibration_has_it(is_rectified: bool) -> None:
+    """Both name one frame, that of the first one's rectified images; OpenCV says how these lie to the raw ones."""
+    K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+    turn, move = rotation_from_quat(np.array([1.0, 0.02, -0.03, 0.01])), np.array([-0.12, 0.004, -0.003])
+    R1, R2, P1, P2, *_ = cv2.stereoRectify(K, np.zeros(5), K, np.zeros(5), (320, 240), turn, move)
+    T_base_frame = camera().T_base_cam
+    infos = []
+    for R, P in ((R1, P1), (R2, P2)):
+        info = c.camera_info(RigCamera("one", 320, 240, K, np.eye(4)), STAMP)
+        info.r[:], info.p[:] = R.ravel(), P.ravel()
+        infos.append(info)
+    found = [
+        c.rig_camera(info, "one", c.of_pair(info, infos, T_base_frame), is_rectified=is_rectified) for info in infos
+    ]
+    point = np.array([0.3, -0.2, 1.5])  # in the first one's raw images
+    seen = [R1 @ point, R2 @ (turn @ point + move)] if is_rectified else [point, turn @ point + move]
+    for one, expected in zip(found, seen, strict=True):
+        in_base = T_base_frame[:3, :3] @ R1 @ point + T_base_frame[:3, 3]
+        np.testing.assert_allclose(inverse_pose(one.T_base_cam)[:3] @ np.append(in_base, 1), expected, atol=1e-9)
+
+
+def test_cameras_with_frames_of_their_own_are_where_these_are() -> None:
+    """Though P tells how far from the first one the second is, as a RealSense's and a ZED's does."""
+    left, right = (c.camera_info(camera(name), STAMP) for name in ("left", "right"))
+    right.p[3] = -36.0
+    np.testing.assert_array_equal(c.of_pair(right, [left, right], np.eye(4)), np.eye(4))
+
+
+@pytest.mark.parametrize("R", [np.zeros(9), 2 * np.eye(3).ravel(), np.diag([1.0, 1, -1]).ravel()])
+def test_what_is_no_rotation_is_none_or_refused(R: np.ndarray) -> None:
+    info = c.camera_info(camera(), STAMP)
+    info.r[:] = R
+    if not R.any():
+        np.testing.assert_array_equal(c.rig_camera(info, "front", np.eye(4)).T_base_cam, np.eye(4))
+        return
+    with pytest.raises(MessageError, match=r"camera front: CameraInfo has R .* which is no rotation"):
+        c.rig_camera(info, "front", np.eye(4))
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,21 @@ def test_rectified_images_are_not_rectified_again(tmp_path: Path, name: str) -> 
     np.testing.assert_array_equal(view.rgb, shown)
 
 
+def test_a_stereo_pair_of_one_frame_is_two_cameras(tmp_path: Path) -> None:
+    """As stereo_image_proc has it: both images name the left one's frame, and P tells the way to the right one."""
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((RigCamera("pair", 64, 48, np.eye(3), np.eye(4)),)), 5), 5)
+        for name, apart_m in (("left", 0.0), ("right", 0.12)):
+            lens = RigCamera("pair", 64, 48, np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), np.eye(4))
+            info = convert.camera_info(lens, 5)
+            info.p[3] = -60 * apart_m
+            log.write(f"/pair/{name}/camera_info", info, 5)
+            log.write(f"/pair/{name}/image_rect", convert.raw_image("pair", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    with LogSession(tmp_path / "log.mcap") as session:
+        places = {one.name: one.T_base_cam[:3, 3].round(9).tolist() for one in session.rig.cameras}
+    assert places == {"pair_left": [0, 0, 0], "pair_right": [0.12, 0, 0]}
+
+
 def log_with_frames(path: Path, frame: str, transforms: Mapping[str, Sequence[tuple[str, str, Float64]]]) -> Path:
     """One image of a camera in `frame`; `transforms`: by topic, parents, children and the children's poses."""
     K = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]])

@@ -15,7 +15,7 @@ from twin_node.bag import LogReader
 from twin_node.bag.latched import is_of_several
 from twin_node.bag.rig import read_rig_record
 from twin_node.messages import MessageError
-from twin_node.messages.convert import TransformTree, rig_camera
+from twin_node.messages.convert import TransformTree, of_pair, rig_camera
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
@@ -185,7 +185,7 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str)
                 f"{log.path}: camera '{camera.name}' has images on {camera.image} but no CameraInfo on {camera.info}; "
                 "record it, or give --rig RIG.yaml"
             )
-        T_base_cam = _pose(log, camera, info, tree, tf_static)
+        T_base_cam = of_pair(info, infos.values(), _pose(log, camera, info, tree, tf_static))
         sigma_m = record.sigmas_m.get(camera.name, 0.0)
         found = rig_camera(info, camera.name, T_base_cam, sigma_m, camera.is_rectified)
         if clock := record.clocks.get(camera.name):

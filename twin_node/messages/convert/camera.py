@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from twin_node.geometry import inverse_pose, pose, quat_from_rotation, rotation_from_quat
@@ -15,6 +17,9 @@ MOST_PIXELS = 65_535
 """Along a side of any image: what is more would take all memory there is."""
 _LEAST_QUATERNION = 1e-3
 """Quaternions whose numbers are all smaller are no rotation that was rounded, but none."""
+
+_ROTATION_ROUNDED = 1e-3
+"""By so much may a rotation's products be off its rounding to few digits."""
 
 DISTORTION_SIZES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """Numbers of coefficients that each ROS distortion model may have (sensor_msgs/distortion_models.hpp).
@@ -53,11 +58,13 @@ def rig_camera(
     """Camera `name` from a CameraInfo and its pose [4, 4] in `base_link`.
 
     K is made to fit the image as sent: a region of interest shifts it, binning scales it (CameraInfo.msg). Rectified
-    images were seen by P, and have no distortion any more.
+    images were seen by P, and have no distortion any more. The frame that is posed is that of rectified images
+    (image_geometry: points in it are projected by P alone); raw ones are turned against it by R.
     Raises `MessageError` for an uncalibrated camera, one without a size, a region or binning that does not fit it, an
-    unknown distortion model or a wrong number of coefficients.
+    unknown distortion model, a wrong number of coefficients or an R that is no rotation.
     """
     K = _projection(info, name) if is_rectified else np.array(info.k, dtype=np.float64).reshape(3, 3)
+    turned = T_base_cam if is_rectified else T_base_cam @ pose(_rectification(info, name), np.zeros(3))
     width, height = _sent_size(info, name)
     if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
         raise MessageError(
@@ -78,11 +85,38 @@ def rig_camera(
         width=width,
         height=height,
         K=K,
-        T_base_cam=np.array(T_base_cam, dtype=np.float64),
+        T_base_cam=np.array(turned, dtype=np.float64),
         distortion_model=model,
         D=D,
         sigma_m=sigma_m,
     )
+
+
+def of_pair(info: Message, infos: Iterable[Message], T_base_frame: Float64) -> Float64:
+    """[4, 4] pose of a camera whose frame has pose `T_base_frame` [4, 4]; `infos`: of all cameras, it among them.
+
+    A stereo pair may have one frame, that of its first camera: P tells then how far from that the second one is
+    (CameraInfo.msg). Where each has a frame of its own, that is where it is, though P tells it too.
+    """
+    P, frame = np.array(info.p, dtype=np.float64).reshape(3, 4), info.header.frame_id
+    firsts = [other for other in infos if other.header.frame_id == frame and not (other.p[3] or other.p[7])]
+    if not firsts or not P[:2, 3].any() or not (P[0, 0] and P[1, 1]):
+        return T_base_frame
+    centre = np.array([-P[0, 3] / P[0, 0], -P[1, 3] / P[1, 1], 0.0])
+    return T_base_frame @ pose(np.eye(3), centre)
+
+
+def _rectification(info: Message, name: str) -> Float64:
+    """[3, 3] turns what raw images see into the frame of rectified ones; drivers that have none leave it 0."""
+    R: Float64 = np.array(info.r, dtype=np.float64).reshape(3, 3)
+    if not R.any():
+        return np.eye(3)
+    if not (np.isfinite(R).all() and np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_ROUNDED and np.linalg.det(R) > 0):
+        raise MessageError(
+            f"camera {name}: CameraInfo has R {np.round(R, 4).tolist()}, which is no rotation; correct it (1 on the "
+            "diagonal, 0 beside it, where no stereo pair is rectified), or give a rig file"
+        )
+    return R
 
 
 def _bins(info: Message) -> Float64:

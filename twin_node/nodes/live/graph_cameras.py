@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 from twin_node.messages import Message, MessageError
-from twin_node.messages.convert import TransformTree, rig_camera
+from twin_node.messages.convert import TransformTree, of_pair, rig_camera
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, find_cameras
 from twin_node.nodes.viewer import LiveCameras
@@ -61,7 +60,7 @@ class GraphCameras:
         if self._rig is not None:
             published = {camera.name for camera in cameras}
             return [camera for camera in self._rig.cameras if camera.name in published]
-        found = [_camera(camera, self._infos.get(camera.info), self._tree) for camera in cameras]
+        found = [_camera(camera, self._infos, self._tree) for camera in cameras]
         return [camera for camera in found if camera is not None]
 
 
@@ -71,12 +70,13 @@ def _fingerprint(camera: RigCamera) -> bytes:
     return lens + camera.K.tobytes() + camera.D.tobytes() + camera.T_base_cam.tobytes()
 
 
-def _camera(camera: CameraTopics, info: Any, tree: TransformTree) -> RigCamera | None:
+def _camera(camera: CameraTopics, infos: Mapping[str, Message], tree: TransformTree) -> RigCamera | None:
     """A camera whose calibration has come, whole and sound; None else."""
+    info = infos.get(camera.info)
     if info is None:
         return None
     try:
-        T_base_cam = tree.lookup(info.header.frame_id.lstrip("/"))
+        T_base_cam = of_pair(info, infos.values(), tree.lookup(info.header.frame_id.lstrip("/")))
         return rig_camera(info, camera.name, T_base_cam, is_rectified=camera.is_rectified)
     except MessageError:  # its transforms have not come yet, or it is not calibrated: there is no place to show it
         return None
