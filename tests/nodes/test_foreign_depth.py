@@ -1,7 +1,9 @@
 """Depth as drivers of others record it: that of the colour image's pixels is taken, another lens's is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,9 +12,10 @@ from twin_node.cli import main
 from twin_node.messages import convert, message_type
 from twin_node.messages.convert.camera import optical_frame
 from twin_node.nodes.log_check import check_log
-from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import CAMERA_INFO, COMPRESSED, RAW, GraphError, find_cameras
-from twin_node.scene import RigCamera
+from twin_node.scene import Rig, RigCamera
 
 CAMERA = "/camera/camera"
 COLOUR, DEPTH, ALIGNED = f"{CAMERA}/color", f"{CAMERA}/depth", f"{CAMERA}/aligned_depth_to_color"
@@ -125,6 +128,37 @@ def test_a_check_of_the_log_names_it(tmp_path: Path) -> None:
         with open_log(foreign_log(tmp_path / f"{fx}.mcap", fx)) as log:
             check = check_log(log)
         assert len([fault for fault in check.faults if "depth aligned with its colour image" in fault]) == others
+
+
+BENT, STRAIGHT = (-0.3, 0.1, 0.0, 0.0, 0.0), (0.0,) * 5
+
+
+@pytest.mark.parametrize("name", ["image_raw", "image_rect"])
+@pytest.mark.parametrize("depth_bends", [False, True])
+@pytest.mark.parametrize("is_calibrated", [False, True])
+def test_depth_is_that_of_its_own_lens(tmp_path: Path, name: str, depth_bends: bool, is_calibrated: bool) -> None:
+    """depthai_ros aligns depth with the colour image without its distortion, librealsense with it; image_proc rectifies
+    colour alone. The depth of each pixel tells its column, at 1 cm per pixel."""
+    lens = RigCamera("camera_camera", 64, 48, np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), np.eye(4))
+    columns = np.tile(np.arange(64, dtype=np.float32), (48, 1))
+    if depth_bends:
+        rays = np.stack(np.meshgrid((np.arange(64) - 31.5) / 60, (np.arange(48) - 23.5) / 60), -1).reshape(-1, 1, 2)
+        plain = cv2.undistortPoints(rays * 60 + [31.5, 23.5], lens.K, np.array(BENT), P=lens.K)
+        columns = plain.reshape(48, 64, 2)[..., 0].astype(np.float32)
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((lens,)), 5), 5)
+        for folder, D in (("rgb", BENT), ("stereo", BENT if depth_bends else STRAIGHT)):
+            info = convert.camera_info(replace(lens, D=np.array(D)), 5)
+            log.write(f"/camera_camera/{folder}/camera_info", info, 5)
+        image = convert.raw_image("camera_camera", 5, np.zeros((48, 64, 3), np.uint8))
+        log.write(f"/camera_camera/rgb/{name}", image, 5)
+        log.write("/camera_camera/stereo/image_raw", convert.depth_image("camera_camera", 5, 1 + columns / 100), 5)
+    given = Rig((replace(lens, D=np.array(BENT if name == "image_raw" else STRAIGHT)),)) if is_calibrated else None
+    with LogSession(tmp_path / "log.mcap", given) as session:
+        [view] = next(iter(LogSource(session, SynchronizerParameters()))).views
+    assert view.depth is not None
+    known = view.depth[8:40, 8:56]
+    np.testing.assert_allclose((known - 1) * 100, np.tile(np.arange(8, 56), (32, 1)), atol=0.8)
 
 
 def log_of(path: Path, topics: dict[str, str], recorded: int = 5) -> Path:

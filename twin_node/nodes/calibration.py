@@ -20,10 +20,12 @@ from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
 from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
-from twin_node.scene import Float64, Rig
+from twin_node.scene import Float64, Rig, RigCamera
 
 ANOTHER_LENS = 0.05
 """Difference of focal length or principal point, by the image's size, that no rounding and no rectifying makes."""
+ROUNDED = 1e-3
+"""The same of what is one lens, by numbers of another precision."""
 UPWARD, LEVEL = 0.25, 0.3
 """Least of a z axis and most of a y axis along the base's z that tell a link's frame (x forward, y left, z up) up to 75
 degrees down from an optical one, whose y points down unless its camera lies on its side."""
@@ -44,9 +46,10 @@ def rig_for(
     naming the camera that lacks images or calibration.
     """
     if rig_file is None:
-        return _rig_of_log(log, cameras, tf_static)
+        return _with_depth_lenses(_rig_of_log(log, cameras, tf_static), log, cameras)
     given, name = (rig_file, "the rig") if isinstance(rig_file, Rig) else (load_rig(rig_file).rig, str(rig_file))
-    return without_other_clocks(_matched(given, cameras, name, log.path), since_1970=log.start_ns >= SINCE_1970_NS)
+    matched = without_other_clocks(_matched(given, cameras, name, log.path), since_1970=log.start_ns >= SINCE_1970_NS)
+    return _with_depth_lenses(matched, log, cameras)
 
 
 @contextlib.contextmanager
@@ -117,6 +120,29 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str 
                 f"another lens on {camera.depth} ({why}); record aligned depth (realsense2_camera: "
                 f"align_depth.enable:=true), or replay without it: --remap {camera.depth}:=/unaligned{camera.depth}"
             )
+
+
+def _with_depth_lenses(rig: Rig, log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
+    """The rig with what its cameras' depth was seen by, where the log's CameraInfo say that this is another lens."""
+    told = {c.name: c for c in cameras if {c.info, c.depth_info} <= log.spoken.keys()}
+    first = _first_messages(log, {topic for c in told.values() for topic in (c.info, c.depth_info) if topic})
+    lenses = {name: _depth_lens(c, first.get(c.info), first.get(c.depth_info)) for name, c in told.items()}
+    return replace(rig, cameras=tuple(replace(one, depth_lens=lenses.get(one.name)) for one in rig.cameras))
+
+
+def _depth_lens(camera: CameraTopics, info: Any, depth_info: Any) -> RigCamera | None:
+    """The lens of a camera's depth; None where it is that of its images, or not told."""
+    if info is None or depth_info is None:
+        return None
+    try:
+        own = rig_camera(info, camera.name, np.eye(4), is_rectified=camera.is_rectified)
+        lens = rig_camera(depth_info, camera.name, np.eye(4), is_rectified=is_rectified(camera.depth or ""))
+    except MessageError:
+        return None
+    straight = not (own.D.any() or lens.D.any())
+    is_bent_alike = straight or (own.distortion_model == lens.distortion_model and np.array_equal(own.D, lens.D))
+    apart = np.abs(_pinhole(info, camera.is_rectified) - _pinhole(depth_info, is_rectified(camera.depth or "")))
+    return None if is_bent_alike and apart.max() < ROUNDED else lens
 
 
 def _other_pinhole(camera: CameraTopics, colour_info: Any, depth_info: Any) -> str | None:

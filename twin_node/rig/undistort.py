@@ -33,6 +33,7 @@ class Undistorter:
     def __init__(self, camera: RigCamera, width: int | None = None) -> None:
         """`width`: of the output in pixels; None: the camera's own. The height follows from the aspect ratio."""
         self._raw = camera
+        self._depth_lens = camera.depth_lens or camera
         width = camera.width if width is None else width
         height = round(camera.height * width / camera.width)
         if min(width, height) < 2:
@@ -52,8 +53,8 @@ class Undistorter:
     def view(self, stamp: int, rgb: UInt8, depth: Float32 | None = None) -> View:
         """The undistorted view of an image [H, W, 3] and, where there is one, depth aligned with it.
 
-        `depth` [h, w] is in metres along the optical axis, of any resolution that covers the same image; what is not a
-        positive finite number becomes 0. Depth is picked, never averaged.
+        `depth` [h, w] is in metres along the optical axis, of any resolution that covers the same image, or what the
+        camera's `depth_lens` sees; what is not a positive finite number becomes 0. Depth is picked, never averaged.
 
         Raises `RigError` where the image is not of the calibrated size, and for depth in whole numbers.
         """
@@ -81,7 +82,7 @@ class Undistorter:
         """Map from the undistorted to the halved input, and which output pixels it covers (None: all)."""
         raw_size = (self._raw.width, self._raw.height)
         width, height = raw_size[0] >> self._halvings, raw_size[1] >> self._halvings
-        source = _rescale(self._raw_pixels(width, height), raw_size, (width, height)).astype(np.float32)
+        source = _rescale(self._raw_pixels(self._raw, width, height), raw_size, (width, height)).astype(np.float32)
         within = (source > -0.5).all(-1) & (source < np.array([width - 0.5, height - 0.5])).all(-1)
         inside = self._reached(source, np.asarray(within))
         covered = _resize(np.where(inside, 255, 0).astype(np.uint8), (self.camera.width, self.camera.height))
@@ -91,12 +92,12 @@ class Undistorter:
         xy, fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
         return _PixelMap(np.asarray(xy, np.int16), np.asarray(fraction, np.uint16)), None if valid.all() else valid
 
-    def _raw_pixels(self, width: int, height: int) -> Float64:
-        """Raw image pixels (u, v) [height, width, 2], OpenCV convention, that the output at this resolution shows."""
+    def _raw_pixels(self, lens: RigCamera, width: int, height: int) -> Float64:
+        """Raw pixels (u, v) [height, width, 2] of a lens, OpenCV convention, that the output of such a size shows."""
         K = scaled_intrinsics(self._raw, width, height)
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]], -1)
-        return distort(self._raw, rays.reshape(-1, 2)).reshape(height, width, 2)
+        return distort(lens, rays.reshape(-1, 2)).reshape(height, width, 2)
 
     def _reached(self, pixels: NDArray[np.floating], inside: Bool) -> Bool:
         """Which of the pixels `inside` [H, W] hang together, by such that the map does not fold, with the one that is
@@ -132,8 +133,9 @@ class Undistorter:
 
     def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int16], Bool]:
         """The nearest depth pixel (x, y) [H, W, 2] of every output pixel, and whether it is inside the depth image."""
-        pixels = self._raw_pixels(self.camera.width, self.camera.height)
-        source = np.rint(_rescale(pixels, (self._raw.width, self._raw.height), (shape[1], shape[0])))
+        lens = self._depth_lens
+        pixels = self._raw_pixels(lens, self.camera.width, self.camera.height)
+        source = np.rint(_rescale(pixels, (lens.width, lens.height), (shape[1], shape[0])))
         limit = np.array([shape[1] - 1, shape[0] - 1])
         inside = self._reached(pixels, np.asarray(((source >= 0) & (source <= limit)).all(-1)))
         return np.clip(source, 0, limit).astype(np.int16), inside

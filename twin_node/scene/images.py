@@ -38,6 +38,9 @@ class RigCamera:
     """How fast the offset grows, parts per million of the camera's own time."""
     time_reference_ns: int = 0
     """Stamp of the camera at which the offset is `time_offset_ns`; where the rate is 0 it tells the clock alone."""
+    depth_lens: RigCamera | None = None
+    """What its depth was seen by, from the same place, where that is another lens than its image's: some drivers align
+    depth with the image without its distortion. None: pixels of depth and image are the same."""
 
     def rig_time(self, stamp: int) -> int:
         """The rig's time, ns, of a stamp of the camera's own clock, ns."""

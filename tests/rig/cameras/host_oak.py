@@ -11,7 +11,8 @@ from typing import Any
 import depthai as dai
 import numpy as np
 
-from twin_node.rig.cameras.oak import FactoryCalibration, OakCamera
+from twin_node.rig.cameras.oak import OakCamera
+from twin_node.rig.cameras.oak_lens import FactoryCalibration
 
 PERIOD_S = 0.05
 DEPTH_MM = 1500

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,10 @@ from host_oak import DEPTH_MM, HostStreams, LateDepthStreams  # noqa: E402 (need
 
 from twin_node.rig import RigError  # noqa: E402
 from twin_node.rig.cameras import CameraImage  # noqa: E402
-from twin_node.rig.cameras.oak import OakCamera, OakSource, factory_calibration  # noqa: E402
+from twin_node.rig.cameras.oak import OakCamera, OakSource  # noqa: E402
+from twin_node.rig.cameras.oak_lens import DepthBender, FactoryCalibration, factory_calibration  # noqa: E402
+from twin_node.rig.undistort import distort  # noqa: E402
+from twin_node.scene import RigCamera  # noqa: E402
 
 FRONT = OakCamera("front", width=64, height=48)
 LEFT = OakCamera("left", width=64, height=48, depth=False)
@@ -150,6 +154,46 @@ def test_factory_calibration_is_scaled_to_the_image() -> None:
     assert found.K[0, 0] == pytest.approx(400.0)
     assert found.D.tolist() == pytest.approx([0.1, -0.2, 0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
     assert factory_calibration(handler, dai.CameraBoardSocket.CAM_B, 640, 360) is None
+
+
+BENT = np.array([-0.3, 0.1, 0, 0, 0, 0, 0, 0])
+LENS = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("is_fisheye", [False, True])
+def test_depth_is_brought_onto_the_pixels_that_the_lens_has_bent(is_fisheye: bool) -> None:
+    """The device aligns it with the colour image without its distortion; the depth of each pixel tells its column."""
+    factory = FactoryCalibration(LENS, np.array([-0.1, 0.02, 0, 0]) if is_fisheye else BENT, is_fisheye)
+    columns = np.tile(np.arange(64, dtype=np.float32), (48, 1))
+    rays = np.stack(np.meshgrid((np.arange(64) - 31.5) / 60, (np.arange(48) - 23.5) / 60), -1)
+    camera = RigCamera("front", 64, 48, LENS, np.eye(4), "equidistant" if is_fisheye else "rational_polynomial")
+    bent = distort(replace(camera, D=factory.D), rays.reshape(-1, 2)).reshape(48, 64, 2)
+    found = DepthBender(factory)(columns, dai.ImgFrame(), dai.ImgFrame())
+    column, row = np.rint(bent[8:40, 8:56]).astype(int).transpose(2, 0, 1)
+    np.testing.assert_allclose(found[row, column], columns[8:40, 8:56], atol=1.1)
+
+
+@pytest.mark.parametrize(
+    ("colour", "depth", "is_bent"), [(BENT, BENT * 0, True), (BENT, BENT, False), (BENT * 0, BENT * 0, False)]
+)
+def test_depth_that_says_how_it_lies_is_believed(colour: np.ndarray, depth: np.ndarray, is_bent: bool) -> None:
+    def frame(D: np.ndarray) -> dai.ImgFrame:
+        found, told = dai.ImgFrame(), dai.ImgTransformation(64, 48)
+        told.setDistortionCoefficients(D.tolist())
+        found.setTransformation(told)
+        return found
+
+    columns = np.tile(np.arange(64, dtype=np.float32), (48, 1))
+    found = DepthBender(FactoryCalibration(LENS, BENT))(columns, frame(depth), frame(colour))
+    assert (found is not columns) == is_bent
+
+
+def test_the_source_bends_depth_by_what_its_device_was_calibrated_to() -> None:
+    source = OakSource([FRONT], lambda camera: HostStreams(camera, FactoryCalibration(LENS, 4 * BENT)))
+    with_depth = next(image for image in source.images() if image.depth is not None)
+    source.close()
+    assert with_depth.depth[24, 32] == np.float32(DEPTH_MM / 1000)
+    assert with_depth.depth[0, 0] == 0  # in the image without distortion it would lie outside
 
 
 def test_wrong_settings_are_named() -> None:

@@ -11,7 +11,8 @@ from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.rig.cameras import CameraImage, ImageSource, OpenCvCamera, OpenCvSource
-from twin_node.rig.cameras.oak import FactoryCalibration, OakCamera, OakSource
+from twin_node.rig.cameras.oak import OakCamera, OakSource
+from twin_node.rig.cameras.oak_lens import FactoryCalibration
 from twin_node.runtime.node import Node
 from twin_node.scene import RigCamera
 

@@ -19,10 +19,11 @@ import numpy as np
 
 from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, check_ranges
 from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage
+from twin_node.rig.cameras.oak_lens import DepthBender, FactoryCalibration, factory_calibration
 from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, RETRY_S, ThreadedSource
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float32, Float64
+from twin_node.scene import Float32
 
 STALLED_S = 10.0
 """A device that is there, and sends no image for so long, is opened anew, s: what its pipeline or its cable has lost
@@ -31,8 +32,6 @@ PAIR_TOLERANCE_NS = 10_000_000
 """A depth image belongs to the colour image of the same exposure: colour and mono mid-exposures differ by less."""
 SYNC_MODES = ("none", "auto", "output", "input", "ptp")
 """How a device's shutters keep time with others' (FSYNC cable, or PTP over Ethernet)."""
-RATIONAL_COEFFICIENTS = 8
-"""Of the 14 coefficients in OpenCV's order that a device stores, those that ROS's rational_polynomial has."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +65,6 @@ class OakCamera:
             raise RigError(f"camera {self.name}: sync: expected one of {', '.join(SYNC_MODES)}, found '{self.sync}'")
 
 
-@dataclass(frozen=True)
-class FactoryCalibration:
-    """What a device knows of its colour camera from the factory."""
-
-    K: Float64
-    """[3, 3] px, OpenCV convention, for the size asked for."""
-    D: Float64
-    """[8] rational_polynomial."""
-
-
 class OakStreams(Protocol):
     """A device's running pipeline, as far as the driver needs it."""
 
@@ -85,7 +74,7 @@ class OakStreams(Protocol):
 
     @property
     def depth(self) -> Any | None:
-        """depthai queue of depth `ImgFrame`s (uint16, mm), aligned with colour; None: no depth."""
+        """depthai queue of depth `ImgFrame`s (uint16, mm), aligned with colour without its distortion; None: none."""
 
     @property
     def calibration(self) -> FactoryCalibration | None:
@@ -150,6 +139,7 @@ class OakSource(ThreadedSource[OakCamera]):
     def _read(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:
         """Images until the device is lost, or the source closed; says why it ended."""
         depths: list[Any] = []
+        bender = DepthBender(streams.calibration)
         heard = time.monotonic()
         try:
             while not self._queue.closed.is_set():
@@ -161,7 +151,8 @@ class OakSource(ThreadedSource[OakCamera]):
                 heard, depth = time.monotonic(), None
                 if streams.depth is not None:
                     depths = [*depths, *streams.depth.tryGetAll()][-QUEUED_PER_CAMERA:]
-                    depth = _paired(frame, depths, streams.depth)
+                    paired = _paired(frame, depths, streams.depth)
+                    depth = None if paired is None else bender(_metres(paired), paired, frame)
                 stamp = stamps.of_steady(_ns(_mid_exposure(self._dai, frame)))
                 self._queue.put(CameraImage(camera.name, stamp, _rgb(frame), depth))
         except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
@@ -170,18 +161,6 @@ class OakSource(ThreadedSource[OakCamera]):
             with contextlib.suppress(RuntimeError):  # depthai's word where the device has gone: there is nothing to end
                 streams.close()
         return "closed"
-
-
-def factory_calibration(handler: Any, socket: Any, width: int, height: int) -> FactoryCalibration | None:
-    """The colour camera's calibration of a `depthai.CalibrationHandler`, scaled to an image size; None where none."""
-    try:
-        K = np.array(handler.getCameraIntrinsics(socket, width, height), dtype=np.float64)
-        D = np.array(handler.getDistortionCoefficients(socket), dtype=np.float64)
-    except RuntimeError:  # depthai's word for a camera that was never calibrated
-        return None
-    padded = np.zeros(RATIONAL_COEFFICIENTS)
-    padded[: min(len(D), RATIONAL_COEFFICIENTS)] = D[:RATIONAL_COEFFICIENTS]
-    return FactoryCalibration(K, padded)
 
 
 class _Devices:
@@ -300,8 +279,12 @@ def _rgb(frame: Any) -> Any:
     return np.asarray(cv2.cvtColor(frame.getCvFrame(), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def _paired(frame: Any, depths: list[Any], waiting: Any) -> Float32 | None:
-    """The depth image [H, W] in m of the frame's exposure; waits for it `WAIT_S` in all, whatever comes before it."""
+def _metres(depth: Any) -> Float32:
+    return np.asarray(depth.getFrame(), dtype=np.uint16).astype(np.float32) / np.float32(1000)
+
+
+def _paired(frame: Any, depths: list[Any], waiting: Any) -> Any | None:
+    """The depth frame of the frame's exposure; waits for it `WAIT_S` in all, whatever comes before it."""
     stamp, deadline = _ns(frame.getTimestamp()), time.monotonic() + WAIT_S
     while not depths or _ns(depths[-1].getTimestamp()) < stamp - PAIR_TOLERANCE_NS:
         late = waiting.get(_timeout(max(deadline - time.monotonic(), 0.0)))
@@ -311,8 +294,7 @@ def _paired(frame: Any, depths: list[Any], waiting: Any) -> Float32 | None:
     near = [d for d in depths if abs(_ns(d.getTimestamp()) - stamp) <= PAIR_TOLERANCE_NS]
     if not near:
         return None
-    best = min(near, key=lambda d: abs(_ns(d.getTimestamp()) - stamp))
-    return np.asarray(best.getFrame(), dtype=np.uint16).astype(np.float32) / np.float32(1000)
+    return min(near, key=lambda d: abs(_ns(d.getTimestamp()) - stamp))
 
 
 def plugged_in() -> tuple[str, ...]:
