@@ -125,6 +125,22 @@ def test_meshes_of_a_urdf_become_capsules(tmp_path: Path) -> None:
     assert set(loaded.capsules.links) == set(range(7))
 
 
+def test_a_second_arm_beside_it_is_none_of_the_arms(tmp_path: Path) -> None:
+    """Nobody tells where it is: its shape would make those who are there part of this arm, and masked like it."""
+    one = """<body name="{name}_base" pos="0 {y} 0"><geom size="0.1"/>
+      <body pos="0 0 0.4"><joint name="{name}" axis="0 1 0"/>
+      <geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.3"/></body></body>"""
+    arms = one.format(name="left", y=0.5) + one.format(name="right", y=-0.5)
+    torso = (
+        f'<mujoco><worldbody><body name="torso"><geom type="box" size="0.2 0.6 0.1"/>{arms}</body></worldbody></mujoco>'
+    )
+    (tmp_path / "two.xml").write_text(torso)
+    arm = load_arm(tmp_path / "two.xml", ["right"])
+    placed = place_capsules(arm, forward_kinematics(arm, np.zeros(1)))
+    assert placed.links.tolist() == [0, 0, 0, 1]
+    assert placed.ends[placed.ends[..., 2] > 0.35].reshape(-1, 3)[:, 1].tolist() == [-0.5, -0.5]
+
+
 def test_wrong_files_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose, quat_from_rotation, transform
+from twin_node.robot.arm_file import compiled
 from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
 from twin_node.scene import Float64
@@ -71,19 +72,14 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     """Serial arm from an MJCF or URDF file; meshes and other shapes become the capsules that enclose them.
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
-    gripper's): those stay where the file puts them, so none may carry one of the arm's. Geoms that take part in no
-    contact (visuals) are left out of a moving body that has others; MuJoCo reads none from a URDF. A URDF's velocity
-    limits are the joints' ratings; where there is none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError`
-    for a file that MuJoCo does not read, for joints that are no chain of hinges or hang on others, and for an arm, or a
-    long link of it, without shapes: nothing would ever be near it.
+    gripper's): those stay where the file puts them, so none may carry one of the arm's; what they move beside the arm,
+    a second arm for example, is left out. Geoms that take part in no contact (visuals) are left out of a moving body
+    that has others; MuJoCo reads none from a URDF. A URDF's velocity limits are the joints' ratings; where there is
+    none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError` for a file that cannot be read (`compiled`), for
+    joints that are no chain of hinges or hang on others, and for an arm, or a long link of it, without shapes: nothing
+    would ever be near it.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False  # a URDF's base would become part of the world
-        engine = spec.compile()
-    except (ValueError, FileNotFoundError) as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
+    engine = compiled(path)
     joints = _arm_joints(engine, path, joint_names)
     data = mujoco.MjData(engine)
     data.qpos[engine.jnt_qposadr[joints]] = 0.0  # the file draws a joint with a `ref` at that angle
@@ -228,6 +224,7 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     carriers = np.array([_carrier(engine, links, int(engine.geom_bodyid[geom])) for geom in of_arm], dtype=np.int64)
     bodies_of = engine.geom_bodyid[of_arm]
     counts = touches | np.where(carriers == 0, not touches.any(), ~np.isin(bodies_of, bodies_of[touches]))
+    counts &= (carriers != 0) | np.array([_is_fixed(engine, int(body)) for body in bodies_of], dtype=np.bool_)
     owners, ends, radii = [], [], []
     for geom, link in zip(of_arm[counts], carriers[counts], strict=True):
         pose = np.eye(4)
@@ -247,6 +244,11 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
 def _carrier(engine: Any, links: dict[int, int], body: int) -> int:
     """Which link carries a body: the nearest of the bodies `links` that it hangs on, or the base, 0."""
     return next((links[b] for b in [body, *_ancestors(engine, body)] if b in links), 0)
+
+
+def _is_fixed(engine: Any, body: int) -> bool:
+    """Whether no joint moves a body."""
+    return not any(engine.body_jntnum[b] for b in [body, *_ancestors(engine, body)])
 
 
 def _geom_capsules(engine: Any, geom: int) -> tuple[Capsule, ...]:

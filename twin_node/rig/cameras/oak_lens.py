@@ -86,7 +86,7 @@ def _places(lens: FactoryCalibration, shape: tuple[int, int]) -> tuple[NDArray[n
         rays = cv2.fisheye.undistortPoints(pixels, lens.K, lens.D, criteria=enough)
     else:
         rays = cv2.undistortPointsIter(pixels, lens.K, lens.D, np.eye(3), np.eye(3), enough)
-    rays = np.nan_to_num(np.asarray(rays, dtype=np.float64).reshape(-1, 2), nan=_NOWHERE)
+    rays = np.asarray(np.nan_to_num(rays, nan=_NOWHERE), dtype=np.float64).reshape(-1, 2)
     column, row = np.rint(rays * lens.K[[0, 1], [0, 1]] + lens.K[:2, 2]).reshape(height, width, 2).transpose(2, 0, 1)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     model = "equidistant" if lens.is_fisheye else "rational_polynomial"

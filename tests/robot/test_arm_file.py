@@ -1,0 +1,60 @@
+"""Files as ROS's tools leave them are read, or refused with what is to be done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.robot import RobotError
+from twin_node.robot.mjcf import load_arm
+
+ROS_URDF = """
+<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial><collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+  <link name="flange"/>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" velocity="2" effort="1"/></joint>
+  <joint name="turn" type="continuous"><parent link="upper"/><child link="flange"/><axis xyz="0 0 1"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("place", ["above", "ament", "ros", "file"])
+def test_meshes_are_found_where_ros_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    """In a package; and masses, which nobody asks for here, may be missing or impossible."""
+    places = {"above": "src/my arm", "ament": "install/share/my arm", "ros": "ws/my arm", "file": "my arm"}
+    package = tmp_path / places[place]
+    (package / "meshes").mkdir(parents=True)
+    (package / "meshes" / "upper.obj").write_text(
+        "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .4\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
+    mesh = f"file://{package}/meshes/upper.obj" if place == "file" else "package://my arm/meshes/upper.obj"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path / 'install'}" if place == "ament" else "")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws") if place == "ros" else "")
+    file = (package / "urdf" if place == "above" else tmp_path) / "arm.urdf"
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(ROS_URDF.format(mesh=mesh))
+    arm = load_arm(file)
+    assert set(arm.capsules.links) == {1}
+    assert np.linalg.norm(arm.capsules.ends.reshape(-1, 3), axis=1).max() < 0.5
+
+
+def test_a_mesh_that_is_nowhere_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    (tmp_path / "arm.urdf").write_text(ROS_URDF.format(mesh="package://ur_description/upper.stl"))
+    with pytest.raises(
+        RobotError, match=r"mesh package://ur_description/upper.stl, found no such file in a folder ur_des"
+    ):
+        load_arm(tmp_path / "arm.urdf")
+
+
+def test_what_xacro_has_to_expand_is_refused(tmp_path: Path) -> None:
+    """MuJoCo passes over what it does not know: the arm was there without its gripper."""
+    gripper = '<xacro:gripper parent="flange"/></robot>'
+    (tmp_path / "arm.urdf").write_text(ROS_URDF.format(mesh="").replace("</robot>", gripper))
+    with pytest.raises(RobotError, match=r"arm.urdf: expected a URDF, found one that xacro has to expand: xacro"):
+        load_arm(tmp_path / "arm.urdf")

@@ -1,0 +1,75 @@
+"""An arm's MJCF or URDF file as MuJoCo's own model: what ROS's tools would have resolved in it is resolved here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import mujoco
+
+from twin_node.robot.model import RobotError
+
+_LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6
+"""kg and kg m^2, in place of what a file leaves out: nothing here asks how heavy an arm is."""
+
+
+def compiled(path: str | Path) -> Any:
+    """The `mujoco.MjModel` of an arm's file.
+
+    Meshes of a URDF may lie in ROS packages (`package://`): above the file, or where AMENT_PREFIX_PATH or
+    ROS_PACKAGE_PATH lead. Masses and inertias may be missing or impossible. Raises `RobotError` for a file that MuJoCo
+    does not read, one that xacro has still to expand, and a package that is not found.
+    """
+    try:
+        _refuse_xacro(path)
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # a URDF's base would become part of the world
+        spec.compiler.balanceinertia = True
+        spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
+        for mesh in spec.meshes:
+            mesh.file = _found(path, mesh.file)
+        return spec.compile()
+    except (ValueError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
+
+
+def _refuse_xacro(path: str | Path) -> None:
+    """What xacro would put in its place MuJoCo passes over: an arm without its gripper, or none."""
+    if Path(path).suffix == ".xacro" or b"<xacro:" in Path(path).read_bytes():
+        raise RobotError(f"{path}: expected a URDF, found one that xacro has to expand: xacro {path} > arm.urdf")
+
+
+def _found(path: str | Path, mesh: str) -> str:
+    """A mesh's file as MuJoCo takes it."""
+    parts = urlsplit(mesh)
+    if parts.scheme == "file":
+        return unquote(parts.path)
+    if parts.scheme != "package":
+        return mesh
+    inside = unquote(parts.path).lstrip("/")
+    for package in _packages(Path(path).resolve(), parts.netloc):
+        if (package / inside).is_file():
+            return str(package / inside)
+    raise RobotError(
+        f"{path}: expected mesh {mesh}, found no such file in a folder {parts.netloc} above it, nor by "
+        "AMENT_PREFIX_PATH or ROS_PACKAGE_PATH; source the workspace that has the package, or copy it there"
+    )
+
+
+def _packages(file: Path, name: str) -> Iterator[Path]:
+    """Folders that may be the ROS package of a name."""
+    for folder in file.parents:
+        yield from (folder, folder / name) if folder.name == name else (folder / name,)
+    for prefix in _paths("AMENT_PREFIX_PATH"):
+        yield prefix / "share" / name
+    for folder in _paths("ROS_PACKAGE_PATH"):
+        yield from (folder, folder / name) if folder.name == name else (folder / name,)
+
+
+def _paths(variable: str) -> list[Path]:
+    """Folders that a variable of the environment lists."""
+    return [Path(folder) for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
