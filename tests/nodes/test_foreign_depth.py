@@ -167,6 +167,7 @@ def log_of(path: Path, topics: dict[str, str], recorded: int = 5) -> Path:
     made = {
         "rgb": convert.raw_image("oak", 5, np.zeros((48, 64, 3), np.uint8)),
         "16UC1": convert.depth_image("oak", 5, np.ones((48, 64), np.float32), "16UC1"),
+        "32FC1": convert.depth_image("oak", 5, np.ones((48, 64), np.float32)),
         "png": convert.compressed_depth_image("oak", 5, np.ones((48, 64), np.float32)),
     }
     with LogWriter(path) as log:
@@ -187,8 +188,31 @@ def test_depth_whose_name_does_not_say_so_is_told_by_what_it_holds(tmp_path: Pat
         assert (camera.name, camera.depth, session.doubts) == ("camera_camera", f"/camera_camera/{topic}", ())
 
 
+def test_depth_is_that_of_the_camera_it_was_brought_to(tmp_path: Path) -> None:
+    """Azure's driver, without a namespace; of a ToF camera beside another camera nobody says so."""
+    found = {
+        camera.name: camera.depth
+        for camera in find_cameras(
+            dict.fromkeys(("/rgb/image_raw", "/depth_to_rgb/image_raw", "/a/rgb/image_raw", "/a/tof/depth/image"), RAW),
+            "log",
+        )
+    }
+    assert found == {"rgb": "/depth_to_rgb/image_raw", "a": None}
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind"), [("/camera_camera/ir/image_raw", "16UC1"), ("/camera_camera/confidence/map", "32FC1")]
+)
+def test_what_is_neither_depth_nor_colour_is_left_out_and_told(tmp_path: Path, topic: str, kind: str) -> None:
+    """Infrared images of 16 bits stopped the replay, or were taken for millimetres of depth."""
+    path = log_of(tmp_path / "log.mcap", {"/camera_camera/rgb/image_raw": "rgb", topic: kind})
+    with LogSession(path, rig_of(tmp_path / "rig.yaml")) as session:
+        assert [(camera.name, camera.depth) for camera in session.cameras] == [("camera_camera", None)]
+        assert session.doubts == (f"{topic} is left out: by its name neither depth nor colour, in {kind}",)
+
+
 def test_depth_of_no_camera_is_named_with_what_makes_it_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Azure's driver, without a namespace; all its depth was left out without a word."""
+    """Of a driver without a namespace all depth was left out without a word."""
     path = log_of(tmp_path / "log.mcap", {"/camera_camera/image_raw": "rgb", "/depth_to_rgb/image_raw": "16UC1"})
     rig = rig_of(tmp_path / "rig.yaml")
     with LogSession(path, rig) as session:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from twin_node.bag import LogReader
@@ -12,6 +13,8 @@ from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, camera_of, fin
 
 _OF_DEPTH = ("16UC1", "32FC1")
 """Encodings of `sensor_msgs/Image` that hold depth and no colour."""
+_OF_NEITHER = re.compile(r"(?:^|[/_])(?:ir|infra|infrared|amplitude|intensity|confidence|disparity)\d*(?:[/_]|$)")
+"""In the names of what drivers send in these encodings, or as mono16, besides (Azure, Kinect, Orbbec, ZED)."""
 
 
 @dataclass(frozen=True)
@@ -21,37 +24,51 @@ class LogCameras:
     found: tuple[CameraTopics, ...]
     """By name."""
     unused: tuple[str, ...]
-    """A line for each camera whose depth is left out, since there are no colour images of it."""
+    """A line for each camera whose depth is left out, for want of colour images, and each topic that holds neither."""
 
 
 def cameras_of(log: LogReader, names: Renamed) -> LogCameras:
     """The cameras of a log; raises `GraphError` where it has no colour image at all."""
-    measured = {name for name in names.spoken if _holds_depth(log, names, name)}
-    found = find_cameras(names.spoken, str(log.path), measured)
-    return LogCameras(found, tuple(_unused(log, names, found, measured)))
+    encodings = {name: _encoding(log, names, name) for name in names.spoken}
+    neither = {
+        name
+        for name, found in encodings.items()
+        if found in (*_OF_DEPTH, "mono16") and _OF_NEITHER.search(name) and names.original(name) == name
+    }
+    spoken = {name: kind for name, kind in names.spoken.items() if name not in neither}
+    measured = {name for name in spoken if encodings[name] in _OF_DEPTH or _is_unnamed_depth(name, spoken[name])}
+    found = find_cameras(spoken, str(log.path), measured)
+    lines = [
+        f"{name} is left out: by its name neither depth nor colour, in {encodings[name]}" for name in sorted(neither)
+    ]
+    return LogCameras(found, (*lines, *_unused(spoken, names, found, measured)))
 
 
-def _holds_depth(log: LogReader, names: Renamed, name: str) -> bool:
-    """Whether a topic holds depth though its name does not say so, by its first message."""
-    if "depth" in name or names.spoken[name] not in (COMPRESSED, RAW):
-        return False
-    if names.spoken[name] == COMPRESSED:
-        return name.endswith("/compressedDepth")
+def _encoding(log: LogReader, names: Renamed, name: str) -> str | None:
+    """Of the first image of a topic, where its name does not say that it holds depth; None: of others, or damaged."""
+    if "depth" in name or names.spoken[name] != RAW:
+        return None
     first = next(log.messages([names.original(name)]), None)
     try:
-        return first is not None and first.message.encoding in _OF_DEPTH
-    except MessageError:  # damaged: who reads it tells
-        return False
+        return None if first is None else str(first.message.encoding)
+    except MessageError:  # who reads it tells
+        return None
 
 
-def _unused(log: LogReader, names: Renamed, cameras: tuple[CameraTopics, ...], measured: Collection[str]) -> list[str]:
+def _is_unnamed_depth(name: str, kind: str) -> bool:
+    return "depth" not in name and kind == COMPRESSED and name.endswith("/compressedDepth")
+
+
+def _unused(
+    spoken: Mapping[str, str], names: Renamed, cameras: tuple[CameraTopics, ...], measured: Collection[str]
+) -> list[str]:
     used = {camera.name for camera in cameras} | {camera_of(camera.depth) for camera in cameras if camera.depth}
+    of = "/".join(path_of(cameras[0].image)) if len(cameras) == 1 else "CAMERA"
     lines = {}
-    for name in names.spoken:
-        is_depth = name in measured or ("depth" in name and names.spoken[name] in (COMPRESSED, RAW))
+    for name, kind in spoken.items():
+        is_depth = name in measured or ("depth" in name and kind in (COMPRESSED, RAW))
         if is_depth and camera_of(name) not in used and names.original(name) == name:  # else its new name was meant
-            of = "/".join(path_of(cameras[0].image))
-            form = "/compressedDepth" if names.spoken[name] == COMPRESSED else ""
+            form = "/compressedDepth" if kind == COMPRESSED else ""
             lines[camera_of(name)] = (
                 f"{name} is left out: it holds depth, and there are no colour images of a camera "
                 f"'{camera_of(name)}'; say whose it is, if aligned, with --remap {name}:=/{of}/depth/image_rect{form}"

@@ -177,6 +177,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     before `image...`, `color...` or `rgb...`. Of several depth topics that is taken which drivers have aligned with the
     colour image, by its name. A camera with both a raw and a compressed colour topic is read from the compressed one.
     What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
+    Azure's driver brings depth to a camera `/rgb` on `/depth_to_rgb`.
     `measured`: topics that are known to hold depth, whatever their names say; where these name no camera that has
     colour images, the path above may (`/oak/stereo/image_raw` of depthai_ros, beside `/oak/rgb/image_raw`).
     Raises `GraphError` naming `source` when there is no colour image at all.
@@ -189,10 +190,8 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
             colour.setdefault(camera_of(topic), topic)
     depth: dict[str, str] = {}
     for topic in images:
-        if topic in measured:
-            depth.setdefault(_measured_by(topic, colour), topic)
-        elif _is_depth(topic):
-            depth.setdefault(camera_of(topic), topic)
+        if topic in measured or _is_depth(topic):
+            depth.setdefault(_measured_by(topic, colour, topic in measured), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
         missing = "record the cameras too, or import videos with 'twin_node import video'"
@@ -250,10 +249,12 @@ def path_of(topic: str) -> tuple[str, ...]:
     return parts[:-1] or parts[:1]
 
 
-def _measured_by(topic: str, cameras: Collection[str]) -> str:
-    """The one of the cameras whose depth a topic holds by its path, or by the path above; the former where neither."""
+def _measured_by(topic: str, cameras: Collection[str], by_path_above: bool) -> str:
+    """The one of the cameras whose depth a topic holds by its path, or beside or above; by its path where none does."""
     path = path_of(topic)
-    names = ("_".join(path), "_".join(path[:-1]))
+    beside = (*path[:-1], path[-1].removeprefix("depth_to_"))
+    above = path[:-1] if by_path_above else path
+    names = ["_".join(parts) for parts in (path, beside, above)]
     return next((name for name in names if name in cameras), names[0])
 
 
