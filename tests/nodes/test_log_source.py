@@ -24,7 +24,7 @@ from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import COMPRESSED, GraphError
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import ur_model
-from twin_node.scene import Float64, Rig, RigCamera
+from twin_node.scene import Float64, JointSample, Rig, RigCamera
 
 
 def test_topics_are_found_without_the_slash_before_their_names(cell_log: Callable[..., Path], tmp_path: Path) -> None:
@@ -88,6 +88,29 @@ def test_joints_of_a_gripper_are_not_taken_for_the_arms(cell_log: Callable[..., 
         sets = list(LogSource(session, SynchronizerParameters(width=80), names))
     assert len(sets) >= 5
     assert all(frames.joints is not None and frames.joints.names == names for frames in sets)
+
+
+def test_joints_that_nobody_would_read_are_told(tmp_path: Path) -> None:
+    """Of an arm in a namespace: another one was made up in its place, and it was a thing that moves."""
+    names = ur_model("ur5e").joint_names
+    for topic, remaps, is_told in (
+        ("/ur/joint_states", None, True),
+        ("/ur/joint_states", {"/ur/joint_states": "/joint_states"}, False),
+        ("/joint_states", None, False),
+    ):
+        path = log_with_frames(tmp_path / "log.mcap", "optical", {"/tf_static": [("base_link", "optical", np.eye(4))]})
+        with open_log(path) as read, LogWriter(tmp_path / "joints.mcap") as log:
+            for one in read.messages():
+                log.write_raw(one.topic, one.msgtype, one.data, one.stamp)
+            log.write(topic, convert.joint_sample_to_message(JointSample(5, names, np.zeros(6), np.zeros(6))), 5)
+        with LogSession(tmp_path / "joints.mcap", remaps=remaps) as session:
+            assert [line for line in session.doubts if "--remap /ur/joint_states:=/joint_states" in line] == list(
+                session.doubts
+            )
+            assert bool(session.doubts) == is_told
+        if remaps is None:
+            with open_log(tmp_path / "joints.mcap") as read:
+                assert any("an arm is made up" in line for line in check_log(read).faults) == is_told
 
 
 def test_a_recording_is_no_wider_than_its_images(cell_log: Callable[..., Path]) -> None:

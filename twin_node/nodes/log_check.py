@@ -14,6 +14,7 @@ from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_cameras import cameras_of
+from twin_node.nodes.log_joints import unread_joints
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import renamed
@@ -201,9 +202,9 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     try:
         check_depth(log, cameras, names.original(TF_STATIC))
     except GraphError as error:
-        faults = [*in_log.unused, str(error)]
+        faults = [*in_log.unused, *unread_joints(names), str(error)]
     else:
-        faults = [*in_log.unused]
+        faults = [*in_log.unused, *unread_joints(names)]
     try:
         rig = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:

@@ -14,6 +14,7 @@ from twin_node.messages import header_stamp
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.log_cameras import cameras_of
+from twin_node.nodes.log_joints import unread_joints
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
@@ -56,8 +57,9 @@ class LogSession:
                 self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
                 check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-            self.doubts: tuple[str, ...] = (*cameras.unused, *_clock_doubts(self.log, in_log[0], self.rig))
-            """What is as it may not be meant, a line each: depth of no camera, images stamped by another clock."""
+            clocks = _clock_doubts(self.log, in_log[0], self.rig)
+            self.doubts: tuple[str, ...] = (*cameras.unused, *unread_joints(names), *clocks)
+            """What may not be meant so, a line each: depth of no camera, joints of no arm, images of another clock."""
         except BaseException:
             self.log.close()
             raise
