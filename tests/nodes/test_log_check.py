@@ -22,6 +22,7 @@ START = 1_700_000_000_000 * MS
 PERIOD = 33 * MS
 BOX = np.array([[-1.0, -1, 0], [1, 1, 1]])
 LEFT = RigCamera("left", 32, 24, np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), np.eye(4))
+RIGHT = replace(LEFT, name="right", T_base_cam=np.eye(4) + 0.1 * np.eye(4, k=3))
 
 
 def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0, apart_ns: int = 0) -> None:
@@ -52,7 +53,7 @@ def checked(path: Path) -> LogCheck:
 @pytest.mark.parametrize("offset_ms", [0, 12, -12])
 def test_cameras_whose_clocks_the_log_knows_are_not_apart(tmp_path: Path, offset_ms: int) -> None:
     """They were calibrated already: to say it again would send their user in a circle."""
-    rig = Rig((LEFT, replace(LEFT, name="right", time_offset_ns=offset_ms * MS)), BOX)
+    rig = Rig((LEFT, replace(RIGHT, time_offset_ns=offset_ms * MS)), BOX)
     write_log(tmp_path / "log.mcap", rig)
     assert checked(tmp_path / "log.mcap").faults == ()
 
@@ -65,7 +66,7 @@ def test_what_a_replay_would_refuse_is_found(tmp_path: Path) -> None:
     assert fault.startswith("camera left: expected views from different sides to derive the workspace from, or ")
     write_log(alone, Rig((LEFT,), BOX))
     assert checked(alone).faults == ()
-    write_log(seldom, Rig((LEFT, replace(LEFT, name="right")), BOX), sets=1, apart_ns=5 * MS)
+    write_log(seldom, Rig((LEFT, RIGHT), BOX), sets=1, apart_ns=5 * MS)
     (fault,) = checked(seldom).faults
     assert fault.startswith("no set of images of left, right: their stamps lie too far apart, or too few")
 
@@ -80,7 +81,7 @@ def test_what_a_twin_has_said_is_sound_without_images(tmp_path: Path) -> None:
 
 def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    write_log(path, Rig((LEFT, replace(LEFT, name="right"))), apart_ns=12 * MS)
+    write_log(path, Rig((LEFT, RIGHT)), apart_ns=12 * MS)
     (fault,) = checked(path).faults
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
 
@@ -105,7 +106,7 @@ def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
 
 def test_a_camera_that_begins_late_is_not_apart_from_the_others(tmp_path: Path) -> None:
     """What it shows belongs to theirs; that there is none in the first half is no other clock's doing."""
-    write_log(tmp_path / "all.mcap", Rig((LEFT, replace(LEFT, name="right")), BOX))
+    write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
     with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "late.mcap") as late:
         for name, record in log.metadata.items():
             late.add_metadata(name, record)

@@ -207,6 +207,28 @@ def test_a_stereo_pair_of_one_frame_is_two_cameras(tmp_path: Path) -> None:
     assert places == {"pair_left": [0, 0, 0], "pair_right": [0.12, 0, 0]}
 
 
+@pytest.mark.parametrize("is_one_lens", [True, False])
+def test_two_cameras_that_name_one_frame_are_told_or_refused(tmp_path: Path, is_one_lens: bool) -> None:
+    """Two drivers that were started alike: both devices were taken to stand where one does."""
+    place = RigCamera("device", 64, 48, np.eye(3), np.eye(4))
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((place,)), 5), 5)
+        for name, focal in (("left", 60.0), ("right", 60.0 if is_one_lens else 60.4)):
+            lens = RigCamera("device", 64, 48, np.array([[focal, 0, 31.5], [0, focal, 23.5], [0, 0, 1]]), np.eye(4))
+            log.write(f"/{name}/camera_info", convert.camera_info(lens, 5), 5)
+            log.write(f"/{name}/image_raw", convert.raw_image("device", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    with open_log(tmp_path / "log.mcap") as read:
+        faults = check_log(read).faults
+    if is_one_lens:
+        with LogSession(tmp_path / "log.mcap") as session:
+            [line] = session.doubts
+        assert line.startswith("cameras 'left' and 'right' stand in one place") and line in faults
+        return
+    with pytest.raises(GraphError, match="expected a frame each, found 'device_optical_frame' of both, and two lenses"):
+        LogSession(tmp_path / "log.mcap")
+    assert any("expected a frame each" in line for line in faults)
+
+
 def log_with_frames(path: Path, frame: str, transforms: Mapping[str, Sequence[tuple[str, str, Float64]]]) -> Path:
     """One image of a camera in `frame`; `transforms`: by topic, parents, children and the children's poses."""
     K = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]])

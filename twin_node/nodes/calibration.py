@@ -139,10 +139,7 @@ def _depth_lens(camera: CameraTopics, info: Any, depth_info: Any) -> RigCamera |
         lens = rig_camera(depth_info, camera.name, np.eye(4), is_rectified=is_rectified(camera.depth or ""))
     except MessageError:
         return None
-    straight = not (own.D.any() or lens.D.any())
-    is_bent_alike = straight or (own.distortion_model == lens.distortion_model and np.array_equal(own.D, lens.D))
-    apart = np.abs(_pinhole(info, camera.is_rectified) - _pinhole(depth_info, is_rectified(camera.depth or "")))
-    return None if is_bent_alike and apart.max() < ROUNDED else lens
+    return None if _is_one_lens(own, lens) else lens
 
 
 def _other_pinhole(camera: CameraTopics, colour_info: Any, depth_info: Any) -> str | None:
@@ -222,7 +219,41 @@ def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str)
                 time_reference_ns=clock.reference_ns,
             )
         calibrated.append(found)
+    _refuse_one_frame_of_two(log, cameras, calibrated, [infos[camera.info].header.frame_id for camera in cameras])
     return Rig(tuple(calibrated), record.workspace)
+
+
+def _refuse_one_frame_of_two(
+    log: LogReader, cameras: Sequence[CameraTopics], calibrated: Sequence[RigCamera], frames: Sequence[str]
+) -> None:
+    """Raises `GraphError` for two cameras in one place, by the name of one frame, through lenses of two devices.
+
+    A driver may send raw and rectified images of one.
+    """
+    for (camera, one, frame), (other, another, same) in itertools.combinations(
+        zip(cameras, calibrated, frames, strict=True), 2
+    ):
+        is_one_place = frame == same and np.array_equal(one.T_base_cam[:3, 3], another.T_base_cam[:3, 3])
+        if is_one_place and camera.is_rectified == other.is_rectified and not _is_one_lens(one, another):
+            raise GraphError(
+                f"{log.path}: cameras '{camera.name}' and '{other.name}': expected a frame each, found {frame!r} of "
+                "both, and two lenses; give each driver a name of its own (realsense2_camera: camera_name; usb_cam: "
+                "frame_id) and place its frame in /tf_static, or give --rig RIG.yaml"
+            )
+
+
+def _is_one_lens(one: RigCamera, other: RigCamera) -> bool:
+    """Whether two images may be of one lens, at any resolution."""
+    apart = np.abs(_by_size(one) - _by_size(other)).max()
+    is_straight = not (one.D.any() or other.D.any())
+    is_bent_alike = one.distortion_model == other.distortion_model and np.array_equal(one.D, other.D)
+    return bool(apart < ROUNDED and (is_straight or is_bent_alike))
+
+
+def _by_size(camera: RigCamera) -> Float64:
+    """[2, 3] K by the image's width and height."""
+    by_size: Float64 = camera.K[:2] / [[camera.width], [camera.height]]
+    return by_size
 
 
 def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, tf_static: str) -> Float64:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
@@ -30,6 +33,8 @@ DEFAULT_WIDTH = 160
 
 LEAST_SHARE = 0.5
 """Share of all sets in which a camera is expected to have an image."""
+ONE_PLACE_M = 1e-3
+"""So near to each other no two lenses fit, m."""
 OTHER_CLOCK_NS = 1_000_000_000
 """No image is recorded so long after its exposure, by one clock."""
 
@@ -58,8 +63,10 @@ class LogSession:
                 check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
             clocks = _clock_doubts(self.log, in_log[0], self.rig)
-            self.doubts: tuple[str, ...] = (*cameras.unused, *unread_joints(names), *clocks)
-            """What may not be meant so, a line each: depth of no camera, joints of no arm, images of another clock."""
+            doubts = (*cameras.unused, *unread_joints(names), *place_doubts(self.rig), *clocks)
+            self.doubts: tuple[str, ...] = doubts
+            """What may not be meant so, a line each: depth of no camera, joints of no arm, cameras in one place, images
+            of another clock."""
         except BaseException:
             self.log.close()
             raise
@@ -86,6 +93,16 @@ class LogSession:
 
     def __exit__(self, *_: object) -> None:
         self.log.close()
+
+
+def place_doubts(rig: Rig) -> Iterator[str]:
+    """A line for each two cameras that are taken to stand in one place."""
+    for one, other in itertools.combinations(rig.cameras, 2):
+        if np.linalg.norm(one.T_base_cam[:3, 3] - other.T_base_cam[:3, 3]) < ONE_PLACE_M:
+            yield (
+                f"cameras '{one.name}' and '{other.name}' stand in one place: where these are two devices, one is not "
+                "where it is said to be; give each a frame of its own, or a rig file"
+            )
 
 
 def _clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:
