@@ -287,6 +287,38 @@ def test_a_camera_that_was_moved_or_whose_clock_was_set_half_way_is_named(fault:
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
+@pytest.mark.parametrize(
+    ("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place all along, found .* images")]
+)
+def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, by: float, told: str) -> None:
+    """Split at the middle alone it was accepted, or all of its last images were left out: 100 mm off from then on."""
+    places = around(3)
+    moved = places[1] @ pose(Rotation.from_rotvec([0, by, 0]).as_matrix(), np.array([by, 0, 0]))
+    cameras = [
+        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i)), lens=a_lens())
+        for i, T in enumerate(places)
+    ]
+    later, first = record(BOARD, a_lens(), moved, "cam1", np.random.default_rng(1)), round(120 * at)
+    cameras[1] = replace(cameras[1], found=(*cameras[1].found[:first], *later.found[first:]))
+    with pytest.raises(RigError, match=f"camera cam1: expected {told}"):
+        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
+def test_a_board_that_rests_at_the_end_is_one_witness() -> None:
+    """All images of it err alike: taken for so many witnesses they told that a camera was moved, by 7 mm."""
+    coded = []
+    for i, T in enumerate(around(2)):
+        rng = np.random.default_rng(i)
+        camera = record(BOARD, a_lens(), T, f"cam{i}", rng, rests_at_s=10.5)
+        rests = int(np.argmax(camera.stamps > 110.6e9))
+        seen = camera.found[rests]
+        assert seen is not None
+        again = Corners(seen.ids, seen.pixels + rng.normal(0, 0.4, seen.pixels.shape))
+        found = (*camera.found[:rests], *[again] * (len(camera.found) - rests))
+        coded.append(replace(camera, found=found, lens=a_lens()))
+    calibrate_rig(BOARD, coded, RigOptions(lenses=False, board=False))
+
+
 def test_stamps_that_jitter_are_not() -> None:
     rng = np.random.default_rng(3)
     cameras = [

@@ -1,30 +1,50 @@
 """Whether cameras stood still, and their clocks ran on, while a board was recorded.
 
 A camera that is moved half-way bends the whole fit, and delays of single images may take up most of what does not fit.
-So each camera's later images are taken for those of another one, and what that would gain is told by one step.
+So each camera's later images are taken for those of another one, and what that would gain is told by one step. Few of
+them may all have been left out instead: then they fit another place of the camera, as misread ones do not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import cv2
 import numpy as np
 
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import Change
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
+from twin_node.rig.calibrate.lenses import rays_of
 from twin_node.rig.errors import RigError
-from twin_node.scene import Bool
+from twin_node.scene import Bool, Float64
 
 MOST_GAIN = 25.0
 """Nine numbers more gain 4.5 by chance, this once in ten million times; real boards and shutters make it up to 10."""
 
+SHARES = 0.06, 0.5, 0.94
+"""Of a camera's images, after which the others are taken for another one's: where it was moved shortly after the start
+or before the end, its middle tells nothing."""
+
 MOVED_M, MOVED_RAD, SET_S = 0.003, 2e-3, 0.005
 """What is less is no matter: 3 mm, a tenth of a degree, 5 ms."""
 
+LIKE_PX = 1.0
+"""A board that has moved by less in an image says nothing new: detectors err as they did before, and ten images of a
+board at rest are one witness."""
+
 DAMPING = 1e-4
 """What no image tells of the other camera stays as it is."""
+
+ELSEWHERE_IMAGES, ELSEWHERE_SIGMAS = 3, 10.0
+"""So many images that were left out tell that their camera was moved where one place explains them all, to so many
+sigma."""
+
+DRAWS = 500
+"""Of a few corners, to find that place."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +66,19 @@ class Split:
 
 
 def check_steady(names: Sequence[str], given: Sequence[Sighting], bundle: BundleResult) -> None:
-    """Raises `RigError` where a camera's later images are another camera's; `given`: what the bundle was made of."""
-    told = [(name, split(given, bundle, camera)) for camera, name in enumerate(names)]
+    """Raises `RigError` where some of a camera's images are another camera's; `given`: what the bundle was made of."""
+    for camera, name in enumerate(names):
+        if lost := _elsewhere(bundle, camera):
+            raise RigError(
+                f"camera {name}: expected one place all along, found {lost} images that fit no place but another; was "
+                "it moved meanwhile? Record it again, or leave out what lies before or after"
+            )
+    witnesses = _Witnesses.of(given, bundle)
+    told = [(name, split) for camera, name in enumerate(names) for split in witnesses.splits(camera)]
     name, worst = max(told, key=lambda pair: pair[1].gain)
     if worst.gain > MOST_GAIN and worst.matters:
         raise RigError(
-            f"camera {name}: expected one place and one clock all along, found the later half of its images "
+            f"camera {name}: expected one place and one clock all along, found its later images "
             f"{1e3 * worst.shift_m:.0f} mm, {np.degrees(worst.turn_rad):.1f} degrees and "
             f"{1e3 * abs(worst.later_s):.0f} ms off the earlier ones'; "
             "was it moved, focused or its clock set meanwhile? "
@@ -59,21 +86,51 @@ def check_steady(names: Sequence[str], given: Sequence[Sighting], bundle: Bundle
         )
 
 
-def split(given: Sequence[Sighting], bundle: BundleResult, camera: int) -> Split:
-    """What the later half of one camera's images would gain; `given`: the sightings that the bundle was made of."""
-    times = np.array([sighting.time_s for sighting in bundle.sightings])
-    own = np.array([sighting.camera == camera for sighting in bundle.sightings])
-    other = len(bundle.state.lenses)
-    late = own & (times > np.median(times[own]))
-    if not late.any():
-        return Split(0.0, 0.0, 0.0, 0.0)
-    one, two = _step(given, bundle, camera, np.zeros_like(late)), _step(given, bundle, camera, late)
-    moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
-    if camera > 0:
-        moved = moved - two.change.outer[two.layout.camera(camera)]
-        later -= two.change.outer[two.layout.clock(camera)][:1].sum()
-    shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
-    return Split(two.gain - one.gain, shift_m, turn_rad, float(later))
+def _unlike(bundle: BundleResult) -> Bool:
+    """[V] which sightings show the board elsewhere than the one before them of their camera that does."""
+    before: dict[int, Float64] = {}
+    unlike = np.zeros(len(bundle.sightings), dtype=bool)
+    for view in np.argsort([sighting.time_s for sighting in bundle.sightings], kind="stable").tolist():
+        sighting = bundle.sightings[view]
+        pixels = np.full((len(bundle.state.points), 2), np.nan)
+        pixels[sighting.corners.ids] = sighting.corners.pixels
+        moved = np.linalg.norm(pixels - before.get(sighting.camera, np.full_like(pixels, np.nan)), axis=1)
+        unlike[view] = not np.isfinite(moved).any() or np.nanmedian(moved) > LIKE_PX
+        if unlike[view]:
+            before[sighting.camera] = pixels
+    return unlike
+
+
+def _elsewhere(bundle: BundleResult, camera: int) -> int:
+    """Images of a camera that were left out and fit one other place of it; 0 where they are too few to tell."""
+    lost = [sighting for sighting in bundle.left_out if sighting.camera == camera]
+    if len(lost) < ELSEWHERE_IMAGES or not bundle.state.course.moves:
+        return 0
+    state, lens = bundle.state, bundle.state.lenses[camera]
+    times = state.rig_times(np.full(len(lost), camera), np.array([sighting.time_s for sighting in lost]))
+    placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in lost]), times))
+    corners = [
+        state.points[sighting.corners.ids] @ R.T + p
+        for sighting, R, p in zip(lost, placed.rotations, placed.positions, strict=True)
+    ]
+    rays = rays_of(lens, np.concatenate([sighting.corners.pixels for sighting in lost]))
+    tolerance = ELSEWHERE_SIGMAS * bundle.noise_px[camera] / lens.K[0, 0]
+    found, *_, inliers = cv2.solvePnPRansac(
+        np.concatenate(corners),
+        rays[:, None],
+        np.eye(3),
+        np.zeros(4),
+        reprojectionError=tolerance,
+        iterationsCount=DRAWS,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    if not found or inliers is None:
+        return 0
+    fits = np.zeros(len(rays), dtype=bool)
+    fits[np.ravel(inliers)] = True
+    own = np.split(fits, np.cumsum([len(sighting.corners) for sighting in lost])[:-1])
+    agreeing = sum(bool(image.mean() > LEAST_SHARE) for image in own)
+    return agreeing if agreeing >= ELSEWHERE_IMAGES else 0
 
 
 @dataclass(frozen=True)
@@ -86,23 +143,57 @@ class _Step:
     layout: Layout
 
 
-def _step(given: Sequence[Sighting], bundle: BundleResult, camera: int, late: Bool) -> _Step:
-    """`late` [V] of the bundle's sightings are those of the other camera, as `camera` is at first; none: no other."""
-    lost = {id(sighting) for sighting in bundle.left_out}
-    kept = np.array([id(sighting) not in lost for sighting in given])
-    other = len(bundle.state.lenses)
-    cameras = [*range(other), camera] if late.any() else [*range(other)]
-    sightings = [replace(s, camera=other) if new else s for s, new in zip(bundle.sightings, late, strict=True)]
-    state = replace(
-        bundle.state,
-        T_cam_rig=bundle.state.T_cam_rig[cameras],
-        lenses=tuple(bundle.state.lenses[i] for i in cameras),
-        clocks=bundle.state.clocks[cameras],
-        readouts=bundle.state.readouts[cameras],
-        delays=bundle.state.delays[kept],
-    )
-    problem = BundleProblem(state, sightings, BundleOptions(lenses=False, clocks=bundle.layout.clocks))
-    problem.jitter, problem.hands = bundle.jitter_s[cameras], bundle.hands
-    equations = problem.equations(problem.look(state), problem.seen, bundle.noise_px[cameras])
-    change, (inner, outer) = equations.solution(DAMPING), equations.normal.slopes
-    return _Step(change, 0.5 * float(change.inner @ inner + change.outer @ outer), problem.layout)
+@dataclass(frozen=True)
+class _Witnesses:
+    """The sightings of a bundle that say something new."""
+
+    bundle: BundleResult
+    sightings: tuple[Sighting, ...]
+    delays: Float64
+    """[V] s."""
+
+    @classmethod
+    def of(cls, given: Sequence[Sighting], bundle: BundleResult) -> _Witnesses:
+        """`given`: what the bundle was made of."""
+        lost, unlike = {id(sighting) for sighting in bundle.left_out}, _unlike(bundle)
+        sightings = tuple(sighting for sighting, new in zip(bundle.sightings, unlike, strict=True) if new)
+        return cls(bundle, sightings, bundle.state.delays[[id(s) not in lost for s in given]][unlike])
+
+    def splits(self, camera: int) -> list[Split]:
+        """What one camera's images after each of `SHARES` would gain if they were another's."""
+        times = np.array([sighting.time_s for sighting in self.sightings])
+        own = np.array([sighting.camera == camera for sighting in self.sightings])
+        lates = [own & (times > np.quantile(times[own], share)) for share in SHARES]
+        return [self._split(camera, late) for late in lates if late.any()]
+
+    def _split(self, camera: int, late: Bool) -> Split:
+        other, two = len(self.bundle.state.lenses), self._step(camera, late)
+        moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
+        if camera > 0:
+            moved = moved - two.change.outer[two.layout.camera(camera)]
+            later -= two.change.outer[two.layout.clock(camera)][:1].sum()
+        shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
+        return Split(two.gain - self._undivided.gain, shift_m, turn_rad, float(later))
+
+    @cached_property
+    def _undivided(self) -> _Step:
+        return self._step(0, np.zeros(len(self.sightings), dtype=bool))
+
+    def _step(self, camera: int, late: Bool) -> _Step:
+        """`late` [V] of the sightings are those of the other camera, as `camera` is at first; none: no other."""
+        bundle, other = self.bundle, len(self.bundle.state.lenses)
+        cameras = [*range(other), camera] if late.any() else [*range(other)]
+        sightings = [replace(s, camera=other) if new else s for s, new in zip(self.sightings, late, strict=True)]
+        state = replace(
+            bundle.state,
+            T_cam_rig=bundle.state.T_cam_rig[cameras],
+            lenses=tuple(bundle.state.lenses[i] for i in cameras),
+            clocks=bundle.state.clocks[cameras],
+            readouts=bundle.state.readouts[cameras],
+            delays=self.delays,
+        )
+        problem = BundleProblem(state, sightings, BundleOptions(lenses=False, clocks=bundle.layout.clocks))
+        problem.jitter, problem.hands = bundle.jitter_s[cameras], bundle.hands
+        equations = problem.equations(problem.look(state), problem.seen, bundle.noise_px[cameras])
+        change, (inner, outer) = equations.solution(DAMPING), equations.normal.slopes
+        return _Step(change, 0.5 * float(change.inner @ inner + change.outer @ outer), problem.layout)
