@@ -319,6 +319,16 @@ def test_a_board_that_rests_at_the_end_is_one_witness() -> None:
     calibrate_rig(BOARD, coded, RigOptions(lenses=False, board=False))
 
 
+def test_a_lens_that_is_fixed_and_wrong_is_named() -> None:
+    """Distances to the board took it up: 3 % off, or without its distortion, a camera was said to have been moved."""
+    cameras = list(a_rig(1, outliers=0.0))
+    lens = cameras[1].lens
+    assert lens is not None
+    cameras[1] = replace(cameras[1], lens=replace(lens, K=lens.K * np.array([[1.04, 1, 1], [1, 1.04, 1], [1, 1, 1]])))
+    with pytest.raises(RigError, match="camera cam1: expected images through the lens given, which is fixed"):
+        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
 def test_stamps_that_jitter_are_not() -> None:
     rng = np.random.default_rng(3)
     cameras = [

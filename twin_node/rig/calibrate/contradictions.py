@@ -11,6 +11,7 @@ from twin_node.rig.calibrate.bundle import BundleResult, Sighting
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.stamp_jitter import MOST_JITTER_S
+from twin_node.rig.calibrate.witnesses import MOST_GAIN, Witnesses
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
 
@@ -59,6 +60,22 @@ def check_fit(
         raise RigError(
             f"cameras {', '.join(names)}: expected images that fit one course of the board, found that many do not "
             f"({', '.join(lost)}); {CAUSE}"
+        )
+
+
+def check_lenses(names: Sequence[str], witnesses: Witnesses) -> None:
+    """Raises `RigError` where lenses that were fixed are not those of the images, and places come out wrong by it.
+
+    Distances to a board take up what a focal length is off by: such images fit nearly as well.
+    """
+    told = list(zip(names, witnesses.bundle.state.lenses, witnesses.other_lenses(), strict=True))
+    name, lens, worst = max(told, key=lambda one: one[2].gain)
+    if worst.gain > MOST_GAIN and worst.matters:
+        raise RigError(
+            f"camera {name}: expected images through the lens given, which is fixed, of focal length "
+            f"{lens.K[0, 0]:.1f} px, found some that fit {worst.focal_px:.1f} px and cameras up to "
+            f"{1e3 * worst.shift_m:.0f} mm and {np.degrees(worst.turn_rad):.1f} degrees elsewhere; was it focused "
+            "meanwhile, or is the board not flat? Leave out --fixed-lenses, or --board-shape flat"
         )
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
 from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
-from twin_node.rig.calibrate.contradictions import check_fit
+from twin_node.rig.calibrate.contradictions import check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import islands
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
+from twin_node.rig.calibrate.witnesses import Witnesses
 from twin_node.rig.errors import RigError
 from twin_node.thinning import thinned
 
@@ -106,7 +107,10 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     bundle = _solved(start, options)
     moving, names = all(camera.moving for camera in members), tuple(camera.name for camera in members)
     check_fit(names, start.state.lenses, start.sightings, bundle, moving)
-    check_steady(names, start.sightings, bundle)
+    witnesses = Witnesses.of(start.sightings, bundle)
+    if not options.lenses:
+        check_lenses(names, witnesses)
+    check_steady(names, witnesses)
     return RigSolution(
         board,
         names,

@@ -8,36 +8,24 @@ them may all have been left out instead: then they fit another place of the came
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Layout, Sighting
-from twin_node.rig.calibrate.bundle_equations import Change
-from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.bundle import BundleResult
 from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
 from twin_node.rig.calibrate.lenses import rays_of
+from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, Witnesses
 from twin_node.rig.errors import RigError
-from twin_node.scene import Bool, Float64
-
-MOST_GAIN = 25.0
-"""Nine numbers more gain 4.5 by chance, this once in ten million times; real boards and shutters make it up to 10."""
+from twin_node.scene import Bool
 
 SHARES = 0.06, 0.5, 0.94
 """Of a camera's images, after which the others are taken for another one's: where it was moved shortly after the start
 or before the end, its middle tells nothing."""
 
-MOVED_M, MOVED_RAD, SET_S = 0.003, 2e-3, 0.005
-"""What is less is no matter: 3 mm, a tenth of a degree, 5 ms."""
-
-LIKE_PX = 1.0
-"""A board that has moved by less in an image says nothing new: detectors err as they did before, and ten images of a
-board at rest are one witness."""
-
-DAMPING = 1e-4
-"""What no image tells of the other camera stays as it is."""
+SET_S = 0.005
+"""A clock that was set by less is no matter."""
 
 ELSEWHERE_IMAGES, ELSEWHERE_SIGMAS = 3, 10.0
 """So many images that were left out tell that their camera was moved where one place explains them all, to so many
@@ -65,16 +53,15 @@ class Split:
         return self.shift_m > MOVED_M or self.turn_rad > MOVED_RAD or abs(self.later_s) > SET_S
 
 
-def check_steady(names: Sequence[str], given: Sequence[Sighting], bundle: BundleResult) -> None:
-    """Raises `RigError` where some of a camera's images are another camera's; `given`: what the bundle was made of."""
+def check_steady(names: Sequence[str], witnesses: Witnesses) -> None:
+    """Raises `RigError` where some of a camera's images are another camera's."""
     for camera, name in enumerate(names):
-        if lost := _elsewhere(bundle, camera):
+        if lost := _elsewhere(witnesses.bundle, camera):
             raise RigError(
                 f"camera {name}: expected one place all along, found {lost} images that fit no place but another; was "
                 "it moved meanwhile? Record it again, or leave out what lies before or after"
             )
-    witnesses = _Witnesses.of(given, bundle)
-    told = [(name, split) for camera, name in enumerate(names) for split in witnesses.splits(camera)]
+    told = [(name, split) for camera, name in enumerate(names) for split in _splits(witnesses, camera)]
     name, worst = max(told, key=lambda pair: pair[1].gain)
     if worst.gain > MOST_GAIN and worst.matters:
         raise RigError(
@@ -86,19 +73,22 @@ def check_steady(names: Sequence[str], given: Sequence[Sighting], bundle: Bundle
         )
 
 
-def _unlike(bundle: BundleResult) -> Bool:
-    """[V] which sightings show the board elsewhere than the one before them of their camera that does."""
-    before: dict[int, Float64] = {}
-    unlike = np.zeros(len(bundle.sightings), dtype=bool)
-    for view in np.argsort([sighting.time_s for sighting in bundle.sightings], kind="stable").tolist():
-        sighting = bundle.sightings[view]
-        pixels = np.full((len(bundle.state.points), 2), np.nan)
-        pixels[sighting.corners.ids] = sighting.corners.pixels
-        moved = np.linalg.norm(pixels - before.get(sighting.camera, np.full_like(pixels, np.nan)), axis=1)
-        unlike[view] = not np.isfinite(moved).any() or np.nanmedian(moved) > LIKE_PX
-        if unlike[view]:
-            before[sighting.camera] = pixels
-    return unlike
+def _splits(witnesses: Witnesses, camera: int) -> list[Split]:
+    """What one camera's images after each of `SHARES` would gain if they were another's."""
+    times = np.array([sighting.time_s for sighting in witnesses.sightings])
+    own = np.array([sighting.camera == camera for sighting in witnesses.sightings])
+    lates = [own & (times > np.quantile(times[own], share)) for share in SHARES]
+    return [_split(witnesses, camera, late) for late in lates if late.any()]
+
+
+def _split(witnesses: Witnesses, camera: int, late: Bool) -> Split:
+    other, two = len(witnesses.bundle.state.lenses), witnesses.divided(camera, late)
+    moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
+    if camera > 0:
+        moved = moved - two.change.outer[two.layout.camera(camera)]
+        later -= two.change.outer[two.layout.clock(camera)][:1].sum()
+    shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
+    return Split(two.gain - witnesses.undivided.gain, shift_m, turn_rad, float(later))
 
 
 def _elsewhere(bundle: BundleResult, camera: int) -> int:
@@ -131,69 +121,3 @@ def _elsewhere(bundle: BundleResult, camera: int) -> int:
     own = np.split(fits, np.cumsum([len(sighting.corners) for sighting in lost])[:-1])
     agreeing = sum(bool(image.mean() > LEAST_SHARE) for image in own)
     return agreeing if agreeing >= ELSEWHERE_IMAGES else 0
-
-
-@dataclass(frozen=True)
-class _Step:
-    """A step of the solver beside which another camera took some of the images."""
-
-    change: Change
-    gain: float
-    """Half the sum of squares, in sigmas, that it would be less by."""
-    layout: Layout
-
-
-@dataclass(frozen=True)
-class _Witnesses:
-    """The sightings of a bundle that say something new."""
-
-    bundle: BundleResult
-    sightings: tuple[Sighting, ...]
-    delays: Float64
-    """[V] s."""
-
-    @classmethod
-    def of(cls, given: Sequence[Sighting], bundle: BundleResult) -> _Witnesses:
-        """`given`: what the bundle was made of."""
-        lost, unlike = {id(sighting) for sighting in bundle.left_out}, _unlike(bundle)
-        sightings = tuple(sighting for sighting, new in zip(bundle.sightings, unlike, strict=True) if new)
-        return cls(bundle, sightings, bundle.state.delays[[id(s) not in lost for s in given]][unlike])
-
-    def splits(self, camera: int) -> list[Split]:
-        """What one camera's images after each of `SHARES` would gain if they were another's."""
-        times = np.array([sighting.time_s for sighting in self.sightings])
-        own = np.array([sighting.camera == camera for sighting in self.sightings])
-        lates = [own & (times > np.quantile(times[own], share)) for share in SHARES]
-        return [self._split(camera, late) for late in lates if late.any()]
-
-    def _split(self, camera: int, late: Bool) -> Split:
-        other, two = len(self.bundle.state.lenses), self._step(camera, late)
-        moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
-        if camera > 0:
-            moved = moved - two.change.outer[two.layout.camera(camera)]
-            later -= two.change.outer[two.layout.clock(camera)][:1].sum()
-        shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
-        return Split(two.gain - self._undivided.gain, shift_m, turn_rad, float(later))
-
-    @cached_property
-    def _undivided(self) -> _Step:
-        return self._step(0, np.zeros(len(self.sightings), dtype=bool))
-
-    def _step(self, camera: int, late: Bool) -> _Step:
-        """`late` [V] of the sightings are those of the other camera, as `camera` is at first; none: no other."""
-        bundle, other = self.bundle, len(self.bundle.state.lenses)
-        cameras = [*range(other), camera] if late.any() else [*range(other)]
-        sightings = [replace(s, camera=other) if new else s for s, new in zip(self.sightings, late, strict=True)]
-        state = replace(
-            bundle.state,
-            T_cam_rig=bundle.state.T_cam_rig[cameras],
-            lenses=tuple(bundle.state.lenses[i] for i in cameras),
-            clocks=bundle.state.clocks[cameras],
-            readouts=bundle.state.readouts[cameras],
-            delays=self.delays,
-        )
-        problem = BundleProblem(state, sightings, BundleOptions(lenses=False, clocks=bundle.layout.clocks))
-        problem.jitter, problem.hands = bundle.jitter_s[cameras], bundle.hands
-        equations = problem.equations(problem.look(state), problem.seen, bundle.noise_px[cameras])
-        change, (inner, outer) = equations.solution(DAMPING), equations.normal.slopes
-        return _Step(change, 0.5 * float(change.inner @ inner + change.outer @ outer), problem.layout)
