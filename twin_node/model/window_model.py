@@ -15,6 +15,7 @@ from twin_node.model.balance import balance_joining
 from twin_node.model.decisions import Decision
 from twin_node.model.devices import usable_device
 from twin_node.model.exposure import Exposures, Levelled
+from twin_node.model.far_depth import FarDepth
 from twin_node.model.field import HexPlane
 from twin_node.model.first_light import FirstLight
 from twin_node.model.fitting import fit_all
@@ -96,6 +97,8 @@ class WindowModel:
         self._gaussians = Gaussians(0, self._device)
         self._begun: _Begun | None = None
         self._light = FirstLight()
+        self._far_depth: FarDepth | None = None
+        """None before the first set."""
         self._exposures = Exposures()
         self._step_budget = StepBudget({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._newest: _Shown | None = None
@@ -167,6 +170,8 @@ class WindowModel:
         """
         self._check(frames)
         begun, is_first = self._begun, self._begun is None
+        far_depth = self._far_depth = self._far_depth or FarDepth([view.camera for view in frames.views])
+        frames = far_depth.without(frames)
         frames = self._light.begin(frames) if is_first else self._light.heed(frames)
         robots = robot_masks(self._arm, frames)
         if begun is None:
@@ -187,7 +192,7 @@ class WindowModel:
             model.nodes,
             moving,
             robots,
-            self._light.warnings + levelled.warnings + self._mask.warnings,
+            self._light.warnings + far_depth.warnings + levelled.warnings + self._mask.warnings,
             levelled.exposures,
             None if is_first else model.stamp,
         )
