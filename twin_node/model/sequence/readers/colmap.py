@@ -1,19 +1,20 @@
 """COLMAP and images per time: a model in `sparse/` of one image per camera, and one folder of images per camera.
 
-The registered image of a camera is called `<camera>.<ext>` or lies in `<camera>/`; the camera's images over time lie in
-`<camera>/` or `images/<camera>/`, in order of their names (numbers in them by value), 30 per second. Cameras must be
-undistorted.
+The registered image of a camera is called `<camera>.<ext>` or lies in `[...]/<camera>/`; the camera's images over time
+lie in `[...]/<camera>/`, there or in `images/`, in order of their names (numbers in them by value), 30 per second.
+Cameras must be undistorted.
 """
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from twin_node.geometry import inverse_pose
+from twin_node.geometry import inverse_pose, pose, rotation_from_quat
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.colmap_files import check_whole
 from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
@@ -25,6 +26,8 @@ MODELS = ("sparse/0", "sparse_", "sparse")
 FRAME_NS = 1e9 / 30
 """Time between images, ns."""
 IMAGES = (".png", ".jpg", ".jpeg")
+NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
+"""In the names of models that are no pinholes even where all of their coefficients are 0."""
 
 
 def recognises(folder: Path) -> bool:
@@ -36,21 +39,18 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     """Reads cameras, points and all images.
 
     Raises `ModelError` for a model that cannot be read, ends too early or is distorted, and for cameras without images
-    or with different numbers of them.
+    or with images of different times.
     """
     model = _load_model(folder)
-    views: list[View] = []
-    counts: dict[str, int] = {}
-    for image in sorted(model.images.values(), key=lambda image: str(image.name)):
-        name = _camera_name(str(image.name))
-        if name in counts:
+    files: dict[str, list[Path]] = {}
+    images = sorted(model.images.values(), key=lambda image: str(image.name))
+    for image in images:
+        name = _camera_name(image)
+        if name in files:
             raise ModelError(f"{folder}: expected one registered image per camera, found two of '{name}'; keep one")
-        own = _read_camera(folder, name, image, options)
-        counts[name] = len(own)
-        views += own
-    if len(set(counts.values())) != 1:
-        found = ", ".join(f"{count} of {name}" for name, count in sorted(counts.items())[:6]) or "no registered image"
-        raise ModelError(f"{folder}: expected as many images of every camera, found {found}; complete the data set")
+        files[name] = _files(folder, image)[: options.frames]
+    _check_times(folder, files)
+    views = [view for image in images for view in _read_camera(folder, files[_camera_name(image)], image, options)]
     recording = Recording(str(folder), in_order(views), points=_points(model))
     return split(recording, options.hold_out or ())
 
@@ -75,26 +75,62 @@ def _load_model(folder: Path) -> Any:
         raise ModelError(f"{path}: expected a model of COLMAP, found none that can be read ({reason})") from None
 
 
-def _camera_name(image: str) -> str:
-    path = Path(image)
+def _camera_name(image: Any) -> str:
+    path = PurePosixPath(str(image.name))
     return path.parent.name or path.stem
 
 
-def _read_camera(folder: Path, name: str, image: Any, options: ReadOptions) -> list[View]:
-    seen_by = image.camera
-    if not seen_by.is_undistorted():
+def _files(folder: Path, image: Any) -> list[Path]:
+    """All images of the camera of a registered one, in order of time."""
+    path, name = PurePosixPath(str(image.name)), _camera_name(image)
+    places = list(dict.fromkeys(root / own for own in (path.parent, name) for root in (folder / "images", folder)))
+    for place in places:
+        own = place.name == name and place.is_dir()
+        files = [file for file in place.iterdir() if file.suffix.lower() in IMAGES] if own else []
+        if files:
+            return sorted(files, key=_in_time)
+    looked = " or ".join(str(place) for place in places if place.name == name)
+    raise ModelError(f"{folder}: expected images of camera '{name}' in {looked}, found none")
+
+
+def _check_times(folder: Path, files: Mapping[str, list[Path]]) -> None:
+    """Raises `ModelError` where images of one place in the order are of different times.
+
+    Names that count images tell which is missing; of others, such as stamps, there must be as many of every camera.
+    """
+    numbers = {name: [_last_number(file) for file in own] for name, own in files.items()}
+    counted = sorted({number for own in numbers.values() for number in own})
+    steps = np.diff(counted)
+    every = int(np.gcd.reduce(steps)) if len(steps) else 1
+    are_counted = bool(counted) and counted[0] >= 0 and 2 * every * len(steps) >= counted[-1] - counted[0]
+    for name, own in numbers.items():
+        missing = sorted(set(counted) - set(own)) if are_counted else []
+        if missing:
+            raise ModelError(
+                f"{folder}: expected images of the same numbers of every camera, found none of {name} with the number "
+                f"{missing[0]}, which another camera has; complete the data set"
+            )
+    if len({len(own) for own in files.values()}) != 1:
+        found = ", ".join(f"{len(own)} of {name}" for name, own in sorted(files.items())[:6]) or "no registered image"
+        raise ModelError(f"{folder}: expected as many images of every camera, found {found}; complete the data set")
+
+
+def _last_number(file: Path) -> int:
+    """The last number in an image's name, -1 for none."""
+    found = re.findall("[0-9]+", file.stem)
+    return int(found[-1]) if found else -1
+
+
+def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptions) -> list[View]:
+    seen_by, name = image.camera, _camera_name(image)
+    if not seen_by.is_undistorted() or any(kind in seen_by.model_name for kind in NO_PINHOLE):
         raise ModelError(
             f"{folder}: expected undistorted cameras, found {seen_by.model_name} for '{name}'; "
             "run colmap image_undistorter"
         )
-    places = [folder / "images" / name, folder / name]
-    place = next((place for place in places if place.is_dir()), None)
-    files = sorted((path for path in place.iterdir() if path.suffix.lower() in IMAGES), key=_in_time) if place else []
-    if not files:
-        raise ModelError(f"{folder}: expected images of camera '{name}' in {places[0]} or {places[1]}, found none")
     camera: Camera | None = None
     views = []
-    for index, file in enumerate(files[: options.frames]):
+    for index, file in enumerate(files):
         full = load_image(file)[..., :3]
         if full.shape[:2] != (seen_by.height, seen_by.width):
             raise ModelError(
@@ -118,9 +154,12 @@ def _in_time(file: Path) -> list[tuple[bool, int, str]]:
 
 
 def _pose(image: Any) -> Float64:
-    viewmat = np.eye(4)
-    viewmat[:3] = image.cam_from_world().matrix()
-    return inverse_pose(viewmat)
+    """[4, 4] camera to world; a quaternion of any length, as scripts write them, is a rotation."""
+    moved = image.cam_from_world()
+    quat = np.roll(np.asarray(moved.rotation.quat), 1)  # pycolmap has w last
+    if not (0 < np.linalg.norm(quat) < np.inf and np.isfinite(moved.translation).all()):
+        raise ModelError(f"{image.name}: expected a finite pose in the model's images, found none; export it again")
+    return inverse_pose(pose(rotation_from_quat(quat), np.asarray(moved.translation)))
 
 
 def _points(model: Any) -> ColouredPoints | None:

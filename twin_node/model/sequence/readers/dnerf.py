@@ -1,8 +1,8 @@
 """D-NeRF (Pumarola et al., CVPR 2021): `transforms_train.json` and, to be scored on, `transforms_test.json`.
 
 Every image has its own camera and a `time` from 0 to 1, which becomes one second. Transparent pixels are white, as
-published. Fields of other tools that write this layout (`fl_x`, `cx`, ...) are taken where they are, of the file or of
-a frame. Images must be undistorted.
+published. Fields of other tools that write this layout (`fl_x`, `camera_angle_y`, `cx`, ...) are taken where they are,
+of the file or of a frame. Images must be undistorted.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ TRAIN, TEST = "transforms_train.json", "transforms_test.json"
 WHITE = (1.0, 1.0, 1.0)
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """What other tools call coefficients of a lens."""
+NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
+"""In the names of camera models that are no pinholes even where all coefficients are 0."""
 DURATION_NS = 1_000_000_000
 """What the times 0 to 1 are taken for."""
 LATEST = 9e9
@@ -106,8 +108,8 @@ def _read_frame(of: _Split, frame: _Frame, width: int | None) -> View:
     file = frame.fields.get("file_path")
     if not isinstance(file, str):
         raise ModelError(f"{path}: expected a 'file_path' in frame {index}, found none; copy the data set again")
-    image_path = path.parent / file
-    image = load_image(image_path if image_path.suffix else image_path.with_suffix(".png"))
+    named = path.parent / file
+    image = load_image(named if named.is_file() else named.with_name(f"{named.name}.png"))
     K = _intrinsics(of.root | frame.fields, (image.shape[0], image.shape[1]), path)
     rgb = shrunk(_on_white(image), width)
     K = scaled_intrinsics(K, (image.shape[1], image.shape[0]), (rgb.shape[0], rgb.shape[1]))
@@ -130,21 +132,28 @@ def _intrinsics(root: dict[str, Any], shape: tuple[int, int], path: Path) -> Flo
     bent = [name for name in DISTORTION if _number({name: root.get(name, 0)}, name, path)]
     if bent:
         raise ModelError(f"{path}: expected undistorted images, found {', '.join(bent)} other than 0; undistort them")
-    if "fl_x" in root:
+    model = str(root.get("camera_model", "PINHOLE")).upper()
+    if root.get("is_fisheye") or any(kind in model for kind in NO_PINHOLE):
+        raise ModelError(f"{path}: expected images of a pinhole camera, found those of another kind; undistort them")
 
-        def given(name: str, default: float) -> float:
-            return _number({name: root.get(name, default)}, name, path)
+    def given(name: str, default: float) -> float:
+        return _number({name: root.get(name, default)}, name, path)
 
-        fx, w, h = _number(root, "fl_x", path), given("w", width), given("h", height)
-        K = np.array([[fx, 0, given("cx", w / 2)], [0, given("fl_y", fx), given("cy", h / 2)], [0, 0, 1]])
-        if min(fx, K[1, 1], w, h) <= 0:
-            raise ModelError(f"{path}: expected fl_x, fl_y, w and h above 0, found {fx}, {K[1, 1]}, {w} and {h}")
-        return scaled_intrinsics(K, (w, h), shape)
-    angle = _number(root, "camera_angle_x", path)
+    w, h = given("w", width), given("h", height)
+    fx = _number(root, "fl_x", path) if "fl_x" in root else _focal(root, "camera_angle_x", w, path)
+    fy = _focal(root, "camera_angle_y", h, path) if "camera_angle_y" in root and "fl_x" not in root else fx
+    K = np.array([[fx, 0, given("cx", w / 2)], [0, given("fl_y", fy), given("cy", h / 2)], [0, 0, 1]])
+    if min(fx, K[1, 1], w, h) <= 0:
+        raise ModelError(f"{path}: expected fl_x, fl_y, w and h above 0, found {fx}, {K[1, 1]}, {w} and {h}")
+    return scaled_intrinsics(K, (w, h), shape)
+
+
+def _focal(root: dict[str, Any], name: str, side: float, path: Path) -> float:
+    """Focal length in pixels of an image `side` pixels long that is seen under the angle `name`."""
+    angle = _number(root, name, path)
     if not 0 < angle < math.pi:
-        raise ModelError(f"{path}: expected camera_angle_x between 0 and pi rad, found {angle}")
-    focal = width / 2 / math.tan(angle / 2)
-    return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        raise ModelError(f"{path}: expected {name} between 0 and pi rad, found {angle}")
+    return side / 2 / math.tan(angle / 2)
 
 
 def _matrix(frame: dict[str, Any], path: Path, index: int) -> Float64:

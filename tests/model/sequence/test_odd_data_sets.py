@@ -1,0 +1,131 @@
+"""Data sets as other tools write them: odd, and legal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from data_sets import CAMERAS, FRAMES, HEIGHT, WIDTH, scene
+
+from twin_node.model import ModelError
+from twin_node.model.sequence import ReadOptions, read_folder
+
+pytest.importorskip("pycolmap")
+
+Copied = Callable[[str], Path]
+ANGLE = float(2 * np.arctan(HEIGHT / 2 / CAMERAS[0].K[1, 1]))
+"""That the images are high, rad."""
+
+
+def rewrite(path: Path, change: Callable[[Any], Any]) -> None:
+    """A file of JSON, changed."""
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+
+
+@pytest.mark.parametrize(
+    ("fields", "K"),
+    [
+        ({"cx": 20.0, "cy": 10.0}, {(0, 2): 20.0, (1, 2): 10.0}),
+        ({"cx": 2 * 20.0, "w": 2 * WIDTH, "h": 2 * HEIGHT}, {(0, 2): 20.0}),
+        ({"camera_angle_y": ANGLE}, {}),
+        ({"camera_angle_y": 1.0}, {(1, 1): HEIGHT / 2 / np.tan(0.5)}),
+        ({"fl_y": 50.0}, {(1, 1): 50.0}),
+    ],
+)
+def test_an_angle_does_not_hide_what_else_is_told_of_the_lens(
+    copied: Copied, fields: dict[str, float], K: dict[tuple[int, int], float]
+) -> None:
+    folder, expected = copied("dnerf"), CAMERAS[0].K.copy()
+    rewrite(folder / "transforms_train.json", lambda content: content | fields)
+    for at, value in K.items():
+        expected[at] = value
+    np.testing.assert_allclose(read_folder(folder, ReadOptions()).train[0].camera.K, expected)
+
+
+@pytest.mark.parametrize("kind", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_a_fisheye_without_coefficients_is_no_pinhole(copied: Copied, kind: dict[str, object]) -> None:
+    folder = copied("dnerf")
+    rewrite(folder / "transforms_train.json", lambda content: content | kind | {"k1": 0.0})
+    with pytest.raises(ModelError, match="of a pinhole camera"):
+        read_folder(folder, ReadOptions())
+
+
+def test_names_of_images_may_have_dots(copied: Copied) -> None:
+    folder = copied("dnerf")
+
+    def renamed(content: Any) -> Any:
+        for index, frame in enumerate(content["frames"]):
+            old = folder / f"{frame['file_path']}.png"
+            frame["file_path"] = f"train/at_{index / 10}"
+            old.rename(folder / f"{frame['file_path']}.png")
+        return content
+
+    rewrite(folder / "transforms_train.json", renamed)
+    assert len(read_folder(folder, ReadOptions()).train) == FRAMES
+
+
+def change_model(folder: Path, name: str, change: Callable[[list[str]], list[str]]) -> None:
+    """A file of a model in text, the fields of its lines changed."""
+    path = folder / "sparse" / "0" / name
+    path.write_text("".join(" ".join(change(line.split())) + "\n" for line in path.read_text().splitlines()))
+
+
+@pytest.mark.parametrize("length", [3.0, 1e-3, -1.0])
+def test_colmap_quaternions_of_any_length_are_rotations(copied: Copied, length: float) -> None:
+    folder = copied("colmap")
+    change_model(folder, "images.txt", lambda f: [f[0], *(repr(length * float(q)) for q in f[1:5]), *f[5:]] if f else f)
+    for view in read_folder(folder, ReadOptions()).train:
+        np.testing.assert_allclose(view.camera.T_base_cam, CAMERAS[int(view.camera.name[-1])].T_base_cam, atol=1e-9)
+
+
+def test_a_colmap_pose_that_is_none_is_named(copied: Copied) -> None:
+    folder = copied("colmap")
+    change_model(folder, "images.txt", lambda f: [f[0], "0", "0", "0", "0", *f[5:]] if f else f)
+    with pytest.raises(ModelError, match=r"cam0\.png: expected a finite pose|none that can be read"):
+        read_folder(folder, ReadOptions())
+
+
+def test_a_colmap_fisheye_without_coefficients_is_no_pinhole(copied: Copied) -> None:
+    folder = copied("colmap")
+    change_model(folder, "cameras.txt", lambda f: [f[0], "OPENCV_FISHEYE", *f[2:], "0", "0", "0", "0"])
+    with pytest.raises(ModelError, match="found OPENCV_FISHEYE for 'cam0'; run colmap image_undistorter"):
+        read_folder(folder, ReadOptions())
+
+
+def test_folders_of_cameras_may_lie_deeper(copied: Copied) -> None:
+    folder = copied("colmap")
+    (folder / "images").rename(folder / "rig")
+    (folder / "images").mkdir()
+    (folder / "rig").rename(folder / "images" / "rig")
+    change_model(folder, "images.txt", lambda f: [*f[:9], f"rig/{Path(f[9]).stem}/0000.png"] if f else f)
+    assert {view.camera.name for view in read_folder(folder, ReadOptions()).train} == {"cam0", "cam1", "cam2"}
+
+
+def images(folder: Path, camera: str) -> list[Path]:
+    """Of one camera, in order."""
+    return sorted((folder / "images" / camera).iterdir())
+
+
+def test_images_that_are_missing_do_not_shift_the_others_in_time(copied: Copied) -> None:
+    folder = copied("colmap")
+    for camera, missing in (("cam0", 1), ("cam1", 2), ("cam2", 1)):  # as many of every camera
+        images(folder, camera)[missing].unlink()
+    with pytest.raises(ModelError, match="none of cam0 with the number 1, which another camera has"):
+        read_folder(folder, ReadOptions())
+    with pytest.raises(ModelError, match="none of cam0 with the number 1"):
+        read_folder(folder, ReadOptions(frames=3))
+    assert read_folder(folder, ReadOptions(frames=1)).steps == 1
+
+
+def test_names_that_are_stamps_go_by_their_order(copied: Copied) -> None:
+    folder = copied("colmap")
+    for index, camera in enumerate(("cam0", "cam1", "cam2")):
+        for step, image in enumerate(images(folder, camera)):
+            image.rename(image.with_name(f"{1_700_000_000_000 + 33 * step + (step * index) % 2}.png"))
+    views = [view for view in read_folder(folder, ReadOptions()).train if view.camera.name == "cam1"]
+    for view, one in zip(views, scene(), strict=True):
+        np.testing.assert_array_equal(view.rgb, one.views[1].rgb)
