@@ -102,6 +102,20 @@ def test_a_model_becomes_a_log_that_can_be_looked_at(is_baked: bool, tmp_path: P
             assert np.allclose(cloud.opacities, expected.opacities.numpy(), atol=1e-5)
 
 
+@pytest.mark.parametrize("is_baked", [False, True])
+def test_times_before_zero_begin_a_log_at_zero(is_baked: bool, tmp_path: Path) -> None:
+    path, log, stamps = tmp_path / "model.safetensors", tmp_path / "model.mcap", [-1_000_000_000, 0, 500_000_000]
+    recording = Recording("early", tuple(replace(view, stamp=at) for view, at in zip(VIEWS, stamps, strict=True)))
+    trainer = Trainer(recording, TrainParameters(method="static", degree=0), stored_from_cloud(cloud_at(0, True)))
+    if is_baked:
+        save_baked(bake_model(trainer.model, stamps, (CAMERA,)), path)
+    else:
+        save_checkpoint(trainer, path)
+    assert main(["import", "model", str(path), "-o", str(log)]) == 0
+    with Playback([log]) as playback:
+        assert (playback.start_ns, playback.end_ns) == (0, 1_500_000_000)
+
+
 def test_what_is_no_model_becomes_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.safetensors").write_bytes(b"something else")
     assert main(["import", "model", str(tmp_path / "a.safetensors"), "-o", str(tmp_path / "a.mcap")]) == 2

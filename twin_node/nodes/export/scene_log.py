@@ -33,14 +33,15 @@ def import_ply(path: Path, output: Path) -> int:
 def import_model(path: Path, output: Path) -> int:
     """Writes a checkpoint of `twin_node train`, as many moments as it saw sets, evenly, or all of what `bake` made.
 
-    Each is one latched `/twin/gaussians` with the time's stamp, in colours of all sides in 8 bits; returns how many.
-    Raises as `import_ply` does.
+    Each is one latched `/twin/gaussians` with the time's stamp, in colours of all sides in 8 bits; returns how many. A
+    data set's times that begin before 0 begin at 0 in the log, which has no others. Raises as `import_ply` does.
     """
-    count = 0
+    begin, count = 0, 0
     with LogWriter(output) as log:
         for stamp, cloud in _baked_clouds(path) if is_baked(path) else _trained_clouds(path):
             _require_finite(cloud, path)
-            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
+            begin = begin if count else min(stamp, 0)
+            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, stamp - begin), stamp - begin)
             count += 1
     return count
 
