@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from data_sets import CAMERAS, FRAMES, HEIGHT, WIDTH, scene
+from data_sets import CAMERAS, FRAMES, HEIGHT, LAYOUTS, WIDTH, scene
 
 from twin_node.model import ModelError
-from twin_node.model.sequence import ReadOptions, read_folder
+from twin_node.model.sequence import ReadOptions, read_folder, recording
 
 pytest.importorskip("pycolmap")
 
@@ -129,3 +129,13 @@ def test_names_that_are_stamps_go_by_their_order(copied: Copied) -> None:
     views = [view for view in read_folder(folder, ReadOptions()).train if view.camera.name == "cam1"]
     for view, one in zip(views, scene(), strict=True):
         np.testing.assert_array_equal(view.rgb, one.views[1].rgb)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_more_images_than_memory_holds_are_refused_while_they_are_read(
+    folders: dict[str, Path], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "MOST_BYTES", 3.5 * WIDTH * HEIGHT * 3)
+    with pytest.raises(ModelError, match=r"expected images .* more in the first 4; .*--frames.*--width"):
+        read_folder(folders[name], ReadOptions())
+    assert read_folder(folders[name], ReadOptions(width=WIDTH // 4)).train

@@ -82,7 +82,7 @@ def test_images_that_show_nothing_yet_are_not_learnt() -> None:
 def test_more_images_than_memory_holds_are_refused_while_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     sets = iter(sliding(9, rig(40, 30)))
     monkeypatch.setattr(recording, "MOST_BYTES", 2.5 * 3 * 40 * 30 * 3)
-    with pytest.raises(ModelError, match=r"^long: expected images .* more in the first 3 sets; .*--frames"):
+    with pytest.raises(ModelError, match=r"^long: expected images .* more in the first 8; .*--frames"):
         recording_of("long", sets)
     assert len(list(sets)) == 6
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ COARSEST = 1e-4
 """How far apart places may be that float32 tells apart, as a share of what cameras look over: a tenth of a pixel."""
 
 MOST_BYTES = 8 * 2**30
-"""Of a log's images, all of which are held as long as something is learnt of them."""
+"""Of images, all of which are held as long as something is learnt of them."""
 
 
 @dataclass(frozen=True)
@@ -132,21 +132,23 @@ def recording_of(
     Raises `ModelError` where a camera to hold out is not there, nothing is left to train on, or as soon as images are
     more than `MOST_BYTES`.
     """
-    views: list[View] = []
-    size = 0
     light = FirstLight()
-    for count, one in enumerate(once_lit(sets)):
-        if count == frames:
-            break
-        kept = [view for view in light.heed(one).views if not is_blind(view)]
-        views += kept
-        size += sum(view.rgb.nbytes + (0 if view.depth is None else view.depth.nbytes) for view in kept)
+    lit = (light.heed(one).views for one in itertools.islice(once_lit(sets), frames))
+    views = list(that_fit(name, (view for shown in lit for view in shown if not is_blind(view))))
+    return split(Recording(name, in_order(views)) if views else _empty(name), hold_out)
+
+
+def that_fit(name: str, views: Iterable[View]) -> Iterator[View]:
+    """The views of a recording as they are read. Raises `ModelError` as soon as images are more than `MOST_BYTES`."""
+    size = 0
+    for count, view in enumerate(views, 1):
+        size += view.rgb.nbytes + (0 if view.depth is None else view.depth.nbytes)
         if size > MOST_BYTES:
             raise ModelError(
-                f"{name}: expected images of at most {MOST_BYTES / 2**30:g} GiB, found more in the first {count + 1} "
-                "sets; take fewer with --frames, or smaller ones with --width"
+                f"{name}: expected images of at most {MOST_BYTES / 2**30:g} GiB, found more in the first {count}; take "
+                "fewer with --frames, or smaller ones with --width"
             )
-    return split(Recording(name, in_order(views)) if views else _empty(name), hold_out)
+        yield view
 
 
 def split(recording: Recording, hold_out: Sequence[str]) -> Recording:

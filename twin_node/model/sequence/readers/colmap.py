@@ -8,7 +8,7 @@ Cameras must be undistorted.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -18,7 +18,7 @@ from twin_node.geometry import inverse_pose, pose, rotation_from_quat
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.colmap_files import check_whole
 from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
-from twin_node.model.sequence.recording import ColouredPoints, Recording, in_order, split
+from twin_node.model.sequence.recording import ColouredPoints, Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, View
 
 MODELS = ("sparse/0", "sparse_", "sparse")
@@ -50,7 +50,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             raise ModelError(f"{folder}: expected one registered image per camera, found two of '{name}'; keep one")
         files[name] = _files(folder, image)[: options.frames]
     _check_times(folder, files)
-    views = [view for image in images for view in _read_camera(folder, files[_camera_name(image)], image, options)]
+    found = (view for image in images for view in _read_camera(folder, files[_camera_name(image)], image, options))
+    views = list(that_fit(str(folder), found))
     recording = Recording(str(folder), in_order(views), points=_points(model))
     return split(recording, options.hold_out or ())
 
@@ -121,7 +122,7 @@ def _last_number(file: Path) -> int:
     return int(found[-1]) if found else -1
 
 
-def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptions) -> list[View]:
+def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptions) -> Iterator[View]:
     seen_by, name = image.camera, _camera_name(image)
     if not seen_by.is_undistorted() or any(kind in seen_by.model_name for kind in NO_PINHOLE):
         raise ModelError(
@@ -129,7 +130,6 @@ def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptio
             "run colmap image_undistorter"
         )
     camera: Camera | None = None
-    views = []
     for index, file in enumerate(files):
         full = load_image(file)[..., :3]
         if full.shape[:2] != (seen_by.height, seen_by.width):
@@ -143,8 +143,7 @@ def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptio
                 seen_by.calibration_matrix(), (seen_by.width, seen_by.height), (rgb.shape[0], rgb.shape[1])
             )
             camera = Camera(name, rgb.shape[1], rgb.shape[0], K, _pose(image))
-        views.append(View(camera, round(index * FRAME_NS), rgb))
-    return views
+        yield View(camera, round(index * FRAME_NS), rgb)
 
 
 def _in_time(file: Path) -> list[tuple[bool, int, str]]:

@@ -19,7 +19,7 @@ import numpy as np
 from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
-from twin_node.model.sequence.recording import Recording, in_order, split
+from twin_node.model.sequence.recording import Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, UInt8, View
 
 TRAIN, TEST = "transforms_train.json", "transforms_test.json"
@@ -76,7 +76,7 @@ class _Split:
     def read(self, width: int | None, last: int | None) -> tuple[View, ...]:
         """The images up to the stamp `last`, in rising order of stamps: of later ones a model learns nothing."""
         chosen = [frame for frame in self.frames if last is None or frame.stamp <= last]
-        return in_order(_read_frame(self, frame, width) for frame in chosen)
+        return in_order(that_fit(str(self.path), (_read_frame(self, frame, width) for frame in chosen)))
 
 
 def _load_split(path: Path, prefix: str) -> _Split:

@@ -6,6 +6,7 @@ The first camera is held out unless told otherwise, as published. Stamps count f
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ import numpy as np
 from twin_node.geometry import pose
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.options import ReadOptions, scaled_intrinsics, shrunk
-from twin_node.model.sequence.recording import Recording, in_order, split
+from twin_node.model.sequence.recording import Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, View
 
 POSES = "poses_bounds.npy"
@@ -40,9 +41,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
             f"{folder / POSES}: expected one row per video, found {len(rows)} rows and {len(videos)} videos cam*.mp4; "
             "complete the data set"
         )
-    views: list[View] = []
-    for video, row in zip(videos, rows, strict=True):
-        views += _read_video(video, row, options)
+    found = (view for video, row in zip(videos, rows, strict=True) for view in _read_video(video, row, options))
+    views = list(that_fit(str(folder), found))
     shortest = min(sum(view.camera.name == video.stem for view in views) for video in videos)
     last = sorted(view.stamp for view in views if view.camera.name == videos[0].stem)[shortest - 1]
     recording = Recording(str(folder), in_order(view for view in views if view.stamp <= last))
@@ -62,7 +62,7 @@ def _load_poses(path: Path) -> Float64:
     return rows.astype(np.float64)
 
 
-def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
+def _read_video(path: Path, row: Float64, options: ReadOptions) -> Iterator[View]:
     """The frames of one camera; `row` [17] holds [3, 5] of axes down, right, back, position, (height, width, focal)."""
     matrix = row[:15].reshape(3, 5)
     rotation = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2]], axis=1)
@@ -74,9 +74,9 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
     capture = cv2.VideoCapture(str(path))
     rate, claimed = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     camera: Camera | None = None
-    views: list[View] = []
+    count = 0
     try:
-        while options.frames is None or len(views) < options.frames:
+        while options.frames is None or count < options.frames:
             ok, image = capture.read()
             if not ok:
                 break
@@ -84,17 +84,15 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> list[View]:
             if camera is None:
                 scaled = scaled_intrinsics(K, (width, height), (rgb.shape[0], rgb.shape[1]))
                 camera = Camera(path.stem, rgb.shape[1], rgb.shape[0], scaled, pose(rotation, matrix[:, 3]))
-            views.append(View(camera, round(len(views) * 1e9 / rate) if rate > 0 else 0, rgb))
+            yield View(camera, round(count * 1e9 / rate) if rate > 0 else 0, rgb)
+            count += 1
     finally:
         capture.release()
-    if not views or not math.isfinite(rate) or rate <= 0:
-        raise ModelError(
-            f"{path}: expected frames at a known rate, found {len(views)} at {rate} Hz; copy the video again"
-        )
+    if not count or not math.isfinite(rate) or rate <= 0:
+        raise ModelError(f"{path}: expected frames at a known rate, found {count} at {rate} Hz; copy the video again")
     wanted = claimed if options.frames is None else min(claimed, options.frames)
-    if len(views) < wanted - SPARE_FRAMES:  # or all other videos would be cut down to it
+    if count < wanted - SPARE_FRAMES:  # or all other videos would be cut down to it
         raise ModelError(
-            f"{path}: expected {claimed} frames, as it says, only the first {len(views)} can be decoded; copy it "
+            f"{path}: expected {claimed} frames, as it says, only the first {count} can be decoded; copy it "
             "again, or take fewer with --frames"
         )
-    return views
