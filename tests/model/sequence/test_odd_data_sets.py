@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -139,3 +141,19 @@ def test_more_images_than_memory_holds_are_refused_while_they_are_read(
     with pytest.raises(ModelError, match=r"expected images .* more in the first 4; .*--frames.*--width"):
         read_folder(folders[name], ReadOptions())
     assert read_folder(folders[name], ReadOptions(width=WIDTH // 4)).train
+
+
+def test_who_reads_a_colmap_model_is_still_told_to_end(folders: dict[str, Path]) -> None:
+    """pycolmap takes the signal as it loads, and ends the process with a trace of its own."""
+    script = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from twin_node.model.sequence import ReadOptions, read_folder\n"
+        "signal.signal(signal.SIGTERM, lambda *_: print('in order'))\n"
+        "read_folder(Path(sys.argv[1]), ReadOptions())\n"
+        "os.kill(os.getpid(), signal.SIGTERM)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script, folders["colmap"]], check=False, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "in order\n", "")

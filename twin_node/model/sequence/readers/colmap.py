@@ -8,6 +8,8 @@ Cameras must be undistorted.
 from __future__ import annotations
 
 import re
+import signal
+import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -63,10 +65,13 @@ def _model_folders(folder: Path) -> list[Path]:
 
 def _load_model(folder: Path) -> Any:
     """A `pycolmap.Reconstruction`."""
+    told_to_end = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap
     except ImportError:
         raise ModelError(f"{folder}: COLMAP's models are read by pycolmap: pip install twin-node[datasets]") from None
+    if told_to_end is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, told_to_end)  # which pycolmap takes over as it loads, to dump a trace and abort
     path = _model_folders(folder)[0]
     check_whole(path)
     try:
