@@ -10,7 +10,7 @@ import torch
 
 from twin_node import splat
 from twin_node.model.field import HexPlane
-from twin_node.model.gaussians import LARGEST, LOG_SCALE, MEAN, RGB, Gaussians, Newborns
+from twin_node.model.gaussians import IDS, LARGEST, LOG_SCALE, MEAN, RGB, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Nodes
 from twin_node.model.rotations import quat_from_vector
@@ -38,6 +38,20 @@ def test_more_births_than_room_fill_the_room_and_no_more() -> None:
     rows = store.spawn(newborns(2), 3)
     assert rows.tolist() == [1]
     assert sorted(store.ids.tolist()) == [0, 2, 3, 4, 5]
+
+
+def test_ids_that_have_run_out_are_used_again_by_nobody_while_they_live() -> None:
+    """Clouds tell 32 bits of them: a newborn with the id of what stands would take its place for who reads them."""
+    store = Gaussians(12, torch.device("cpu"))
+    store.spawn(newborns(5), 1)
+    store.retire(torch.tensor([0, 1, 3]))
+    store._next_id = IDS - 2
+    last = store.spawn(newborns(2), 2)
+    assert store.ids[last].tolist() == [IDS - 2, IDS - 1]
+    assert store.ids[store.spawn(newborns(1), 3)].tolist() == [0]
+    assert store.ids[store.spawn(newborns(3), 4)].tolist() == [5, 6, 7]
+    living = store.ids[store.alive].tolist()
+    assert len(living) == len(set(living)) == 8
 
 
 def test_each_of_a_batch_has_its_own_tier_as_far_as_there_is_room() -> None:

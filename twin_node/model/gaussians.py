@@ -18,6 +18,8 @@ from twin_node.splat import Decays
 MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
 """Columns of `Gaussians.values`."""
 WIDTH = 14
+IDS = 2**32
+"""How many ids there are, as clouds tell them: enough for ten days of a crowded cell at 30 Hz, and then used again."""
 SMALLEST = -7.6
 """Log of the smallest scale: half a millimetre."""
 QUICK = Decays(0.65, 0.95)
@@ -117,6 +119,7 @@ class Gaussians:
         self.refused = 0
         """Steps of single Gaussians that were not finite and were therefore not taken, since the model began."""
         self._next_id = 0
+        self._ids_are_used_again = False
         self._rows: dict[tuple[Tier, Tier], Tensor] = {}
         self._writes = Writes()
 
@@ -194,10 +197,24 @@ class Gaussians:
 
     def claim(self, count: int) -> Claimed:
         """Room for `count` newborns, or for as many as there is; they live from now on, all else is to be set."""
-        rows, first_id = rows_where(~self.alive)[:count], self._next_id
+        rows = rows_where(~self.alive)[:count]
+        first_id = self._unused(len(rows))
         self.alive[rows] = True
-        self._next_id += len(rows)
+        self._next_id = first_id + len(rows)
         return Claimed(rows, first_id)
+
+    def _unused(self, count: int) -> int:
+        """The first of `count` ids in a row that nobody living has: from the newest on, and from 0 on after `IDS`."""
+        first = self._next_id
+        while True:
+            if first + count > IDS:
+                first, self._ids_are_used_again = 0, True
+            if not self._ids_are_used_again:
+                return first
+            own = self.ids[self.alive & (self.ids >= first) & (self.ids < first + count)]
+            if not len(own):
+                return first
+            first = int(own.max()) + 1
 
     def doubt(self, rows: Tensor, refuted: Tensor, sets: int) -> Tensor:
         """[n] which of `rows` [n] are `refuted` [n] now, and so have been for `sets` sets in a row; those that live."""
