@@ -42,6 +42,7 @@ def test_constants_that_no_law_has_are_refused(name: str, value: float) -> None:
     [
         (replace(GOOD, stamps=GOOD.stamps[::-1]), REACTION_S, "expected strictly increasing stamps"),
         (replace(GOOD, stamps=np.full(21, NOW)), REACTION_S, "expected strictly increasing stamps"),
+        (replace(GOOD, stamps=np.append(GOOD.stamps[:20], GOOD.stamps[19])), REACTION_S, "strictly increasing stamps"),
         (replace(GOOD, positions=GOOD.positions[:5]), REACTION_S, "one angle per stamp and joint, found "),
         (replace(GOOD, stamps=GOOD.stamps[:0], positions=GOOD.positions[:0]), REACTION_S, "found no sample"),
         (replace(GOOD, stamps=GOOD.stamps + 40 * MS), REACTION_S, "found one that begins 40 ms later"),
@@ -84,3 +85,6 @@ def test_a_time_of_another_clock_is_refused(ur5e_checker: ArmCollisionChecker) -
     up_s = 3600 * 10**9  # such as time.monotonic_ns() gives
     with pytest.raises(ArmError, match="clock of the obstacles' stamps"):
         decide(ur5e_checker, ahead(TURNING, up_s), up_s, REACTION_S)
+    assert decide(ur5e_checker, ahead(TURNING, NOW - 199 * MS), NOW - 199 * MS, REACTION_S).evidence_stamp == NOW
+    with pytest.raises(ArmError, match=r"found one 0\.201 s before"):
+        decide(ur5e_checker, ahead(TURNING, NOW - 201 * MS), NOW - 201 * MS, REACTION_S)

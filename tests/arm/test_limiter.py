@@ -32,7 +32,19 @@ def test_the_arm_stands_until_the_first_forecast() -> None:
     limiter = SpeedLimiter()
     assert limiter.tick(NOW).speed_fraction == 0.0
     assert limiter.tick(NOW + 5_000 * MS).reason == "stopped: no forecast yet"
+    assert limiter.silence_s(NOW) == math.inf
     assert limiter.decide(decision(1.0, 5_000), NOW + 5_000 * MS).speed_fraction == 0.0
+
+
+def test_what_the_arm_is_told_has_the_time_at_which_it_is_told() -> None:
+    told = at_full_speed().tick(NOW + 50 * MS)
+    assert (told.stamp, told.evidence_stamp) == (NOW + 50 * MS, NOW)
+
+
+def test_an_arm_that_was_stopped_rises_from_rest() -> None:
+    limiter = at_full_speed()
+    limiter.stand()
+    assert limiter.tick(NOW + 30 * MS).speed_fraction == pytest.approx(0.03 * LimiterParameters().rise_per_s)
 
 
 def test_down_at_once_and_up_slowly() -> None:
@@ -80,6 +92,8 @@ def test_a_decision_without_a_stamp_of_its_evidence_stops_the_arm_and_says_why()
     """The arm stood, and was said to be clear of whoever moved."""
     told = at_full_speed().decide(replace(decision(1.0, 10), evidence_stamp=NO_EVIDENCE), NOW + 10 * MS)
     assert (told.speed_fraction, told.reason) == (0.0, "stopped: nobody knows how old the evidence is; stamp it")
+    waiting = replace(decision(0.0, 10), evidence_stamp=NO_EVIDENCE, reason="stopped: no forecast yet")
+    assert at_full_speed().decide(waiting, NOW + 10 * MS).reason == "stopped: no forecast yet"
 
 
 def test_a_clock_that_is_put_back_does_not_make_a_forecast_last() -> None:

@@ -87,6 +87,8 @@ def test_a_path_ahead_is_in_the_models_order_and_stands_at_its_end() -> None:
     assert ahead.names == model.joint_names
     np.testing.assert_allclose(ahead.positions[0], np.arange(6.0)[::-1] / 2)
     np.testing.assert_allclose(ahead.positions[5:], np.tile(np.arange(6.0)[::-1], (16, 1)))
+    np.testing.assert_array_equal(path_ahead(model, path, 0).positions[0], np.zeros(6))
+    np.testing.assert_array_equal(path_ahead(model, path, 100_000_000).positions[0], np.arange(6.0)[::-1])
 
 
 @pytest.mark.parametrize(("stamp", "found"), [(100_000_001, "was over 1e-09 s before"), (-(10**9), "begins 1 s later")])
@@ -110,6 +112,8 @@ def test_extrapolation_keeps_speed_and_ranges() -> None:
     assert ahead.positions[1, 2] == pytest.approx(0.99)  # faster than its rating: it is what was measured
     assert ahead.positions[-1, 2] == model.upper[2]
     assert (ahead.positions[:, 5] == 7.0).all()  # already beyond its range: it can only stay or come back
+    below = extrapolate(model, -q, -qd, 1_000)
+    np.testing.assert_allclose(below.positions, -ahead.positions)
 
 
 @given(
@@ -143,6 +147,8 @@ def test_extrapolation_starts_from_the_samples_own_time_and_order() -> None:
     sample = JointSample(1_000, model.joint_names[::-1], np.zeros(6), np.arange(6.0) / 10)
     ahead = path_from_sample(model, sample, 1_000 + 50_000_000)
     np.testing.assert_allclose(ahead.positions[0], np.arange(6.0)[::-1] / 10 * 0.05)
+    early = path_from_sample(model, sample, 1_000 - 50_000_000)  # by a clock a little behind: not where it was before
+    np.testing.assert_array_equal(early.positions[0], np.zeros(6))
     with pytest.raises(RobotError, match="finite"):
         path_from_sample(model, JointSample(0, model.joint_names, np.zeros(6), np.full(6, np.inf)), 0)
 
@@ -166,8 +172,10 @@ def test_what_cannot_be_reached_or_followed_is_refused() -> None:
     stamps, positions = np.array([0, 10]), np.zeros((2, 6))
     with pytest.raises(ArmError, match="strictly increasing stamps"):
         sample_path(JointPath(model.joint_names, stamps[::-1], positions), stamps)
+    with pytest.raises(ArmError, match="strictly increasing stamps"):
+        sample_path(JointPath(model.joint_names, np.array([0, 10, 10]), np.zeros((3, 6))), stamps)
     with pytest.raises(ArmError, match="finite angles"):
-        sample_path(JointPath(model.joint_names, stamps, positions * np.nan), stamps)
+        sample_path(JointPath(model.joint_names, stamps, np.where(np.eye(2, 6) > 0, np.nan, positions)), stamps)
     with pytest.raises(ArmError, match=r"shape \(2, 6\) with at least one row"):
         sample_path(JointPath(model.joint_names, stamps, positions[:, :5]), stamps)
     with pytest.raises(ArmError, match="at least one row"):

@@ -13,11 +13,24 @@ from twin_node.robot import UR_NAMES
 FULL = np.deg2rad(183)
 
 
-def test_the_manuals_figures_come_back() -> None:
-    shoulder = np.array([0.0, FULL, 0, 0, 0, 0])
-    stop = stopping_table("ur5e").stop(shoulder)
-    assert stop.duration_s == pytest.approx(0.530)
-    assert stop.travel_s * FULL == pytest.approx(0.70)
+@pytest.mark.parametrize(
+    ("name", "base", "shoulder", "elbow"),
+    [
+        ("ur3e", (0.159, 0.18), (0.154, 0.20), (0.092, 0.15)),
+        ("ur5e", (0.244, 0.31), (0.530, 0.70), (0.164, 0.22)),
+        ("ur10e", (0.488, 0.62), (1.060, 1.40), (0.328, 0.44)),
+        ("ur16e", (0.488, 0.62), (1.060, 1.40), (0.328, 0.44)),
+        ("another", (0.488, 0.62), (1.060, 1.40), (0.328, 0.44)),
+    ],
+)
+def test_each_joint_stops_as_the_manuals_have_it(
+    name: str, base: tuple[float, float], shoulder: tuple[float, float], elbow: tuple[float, float]
+) -> None:
+    """Seconds and radians from 183 degrees per second; wrists as the elbow, larger arms twice a UR5's."""
+    for joint, (seconds, radians) in enumerate((base, shoulder, elbow, elbow, elbow, elbow)):
+        stop = stopping_table(name).stop(FULL * np.eye(6)[joint])
+        assert stop.duration_s == pytest.approx(seconds)
+        assert stop.travel_s * FULL == pytest.approx(radians)
 
 
 def test_the_slowest_joint_decides() -> None:
@@ -50,9 +63,10 @@ def test_rows_are_met_and_joined() -> None:
 def test_beyond_its_last_row_a_table_counts_in_proportion_among_others_too(speed: float) -> None:
     slow = StoppingTable(np.array([1.0]), np.array([[0.5]]), np.array([[0.3]]))
     quick = StoppingTable(np.array([1.0, 4.0]), np.array([[0.1], [0.4]]), np.array([[0.05], [0.8]]))
-    both, at = slow.slower_of(quick), np.array([speed])
-    assert both.stop(at).duration_s == pytest.approx(slow.stop(at).duration_s)
-    assert both.stop(at).travel_s == pytest.approx(max(slow.stop(at).travel_s, quick.stop(at).travel_s))
+    at = np.array([speed])
+    for both in (slow.slower_of(quick), quick.slower_of(slow)):
+        assert both.stop(at).duration_s == pytest.approx(slow.stop(at).duration_s)
+        assert both.stop(at).travel_s == pytest.approx(max(slow.stop(at).travel_s, quick.stop(at).travel_s))
 
 
 def test_wrong_tables_are_refused() -> None:
@@ -62,6 +76,10 @@ def test_wrong_tables_are_refused() -> None:
         StoppingTable(np.array([1.0]), np.ones((2, 6)), np.ones((2, 6)))
     with pytest.raises(ArmError, match="expected rising speeds"):
         StoppingTable(np.empty(0), np.ones((0, 6)), np.ones((0, 6)))
+    with pytest.raises(ArmError, match="expected rising speeds"):
+        StoppingTable(np.array([1.0]), np.ones((1, 6)), np.ones((1, 5)))
+    with pytest.raises(ArmError, match="expected rising speeds"):
+        StoppingTable(np.array([1.0]), np.ones(1), np.ones(1))
 
 
 @pytest.mark.parametrize("joints", [1, 4, 7])
@@ -76,6 +94,8 @@ def test_an_arm_without_six_joints_stops_as_late_as_the_slowest_one(joints: int)
 def test_the_table_of_an_arm_of_other_joints_is_refused() -> None:
     with pytest.raises(ArmError, match="expected speeds of 6 joints, found 7"):
         stopping_table("ur5e").stop(np.ones(7))
+    with pytest.raises(ArmError, match="expected one of 6 joints, found one of 7"):
+        stopping_table("ur5e").slower_of(stopping_table("another", 7))
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1])

@@ -150,7 +150,7 @@ def _closing(pairs: Approaches, seconds: Float64) -> Float64:
     """Speeds [p] at which pairs come closer by the arm's own motion: the fastest mean from now to any pose, m/s."""
     if len(seconds) < 2:
         return np.zeros(len(pairs.obstacles))
-    closing: Float64 = ((pairs.distances[0] - pairs.distances[1:]) / (seconds[1:] - seconds[0])[:, None]).max(0)
+    closing: Float64 = ((pairs.distances[0] - pairs.distances[1:]) / seconds[1:, None]).max(0)
     return np.maximum(closing, 0.0)
 
 

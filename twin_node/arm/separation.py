@@ -220,7 +220,7 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         moves=np.asarray(kinds == ObstacleKind.MOVING),
         own_speeds=own_speeds,
         speeds=np.maximum(own_speeds, parameters.human_speed),
-        valid_from=np.where(is_first, np.minimum(source.valid_from, stamp), source.valid_from),
+        valid_from=np.where(is_first, stamp, source.valid_from),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
         begins_with=np.asarray(kinds == ObstacleKind.MOVING) & ~as_seen & is_first,
@@ -358,8 +358,8 @@ class Encounter:
 
     @property
     def _until_begin_s(self) -> float:
-        """Time from now until the forecast begins, s."""
-        return max(self.hazards.begins - self.motion.stamp, 0) * 1e-9
+        """Time from now until the forecast begins, s; pairs that ask for it are there only where that is to come."""
+        return (self.hazards.begins - self.motion.stamp) * 1e-9
 
     @property
     def _within_touch(self) -> float:
