@@ -10,7 +10,7 @@ from driver_bench import CLEAR, MS, STEP_MS, Bench
 from fake_link import START, sample
 
 from twin_node.arm.errors import ArmError
-from twin_node.arm.ur import Decide, DriverMode, DriverState, UrParameters
+from twin_node.arm.ur import Decide, DriverMode, DriverState, Halt, UrParameters
 from twin_node.runtime.parameters import fill
 
 
@@ -192,11 +192,36 @@ def test_a_slider_that_somebody_drags_is_set_back_at_once_and_halts() -> None:
     assert bench.report.reason == "speed slider set to 0% reads 60%: somebody else moves it"
 
 
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_driver_that_ends_lets_the_arm_stand_as_the_last_thing(is_lost: bool) -> None:
+    bench = Bench()
+    bench.run(320)
+    bench.link.is_lost = is_lost
+    assert not bench.driver.stop("the driver ends")
+    assert bench.link.speeds[-1] == 0.0
+    beats = len(bench.link.beats)
+    report = bench.run(40)
+    assert (report.state, report.reason) == (DriverState.HALTED, "connection lost" if is_lost else "the driver ends")
+    assert len(bench.link.beats) == beats
+
+
+def test_a_report_holds_what_the_controller_said_and_the_halt_that_a_next_connection_is_to_keep() -> None:
+    bench = Bench()
+    report = bench.run(320)
+    assert report.sample == bench.link.state
+    assert bench.now - 8 * MS < report.sample_stamp <= bench.now
+    assert report.halt is None
+    bench.link.tell(safety_mode=3)
+    report = bench.run(40)
+    assert report.halt == Halt(report.reason, is_safety=True, interrupts=True)
+
+
 def test_read_only_writes_nothing_and_tells_what_it_sees() -> None:
     bench = Bench(mode=DriverMode.READ_ONLY)
     report = bench.run(320)
     assert (report.state, report.reason, report.speed_fraction) == (DriverState.READY, "read only", None)
-    assert (bench.link.speeds, bench.link.beats) == ([], [])
+    link = bench.link
+    assert (link.speeds, link.beats, link.servoed, link.preparations, link.plays) == ([], [], [], 0, 0)
     bench.link.tell(safety_mode=3)
     assert bench.run(40).state is DriverState.HALTED
     bench.link.tell(safety_mode=1)

@@ -22,9 +22,9 @@ def followed(path: JointPath, fractions: list[float]) -> Float64:
 
 
 @settings(max_examples=25)
-@given(st.lists(st.floats(0, 1), min_size=10, max_size=10))
-def test_the_arm_stays_on_its_path_within_its_limits_whatever_the_speed(fractions: list[float]) -> None:
-    path = quintic()
+@given(fractions=st.lists(st.floats(0, 1), min_size=10, max_size=10), way=st.sampled_from([-0.8, 0.8]))
+def test_the_arm_stays_on_its_path_within_its_limits_whatever_the_speed(fractions: list[float], way: float) -> None:
+    path = quintic(way=way)
     positions = followed(path, [fraction for fraction in fractions for _ in range(60)])
     nearest = np.linalg.norm(positions[:, None] - path.positions[None], axis=2).min(axis=1)
     assert nearest.max() < 0.01  # between two of the path's own samples
@@ -68,8 +68,12 @@ def test_the_future_is_told_at_the_paths_own_speed_even_when_slowed() -> None:
     ("path", "word"),
     [
         (quintic(START + 0.3), "begin where the arm stands"),
-        (quintic(way=0.8, seconds=0.2), "rad/s at most"),
-        (quintic(way=7.0, seconds=20.0), "within -6.28 to 6.28"),
+        (quintic(START - 0.3), "begin where the arm stands"),
+        (quintic(START + 0.1 * np.eye(6)[4]), "begin where the arm stands, found wrist_2_joint 0.10 rad away"),
+        (quintic(way=0.8, seconds=0.2), "shoulder_pan_joint at 3.14 rad/s at most"),
+        (quintic(way=-0.8, seconds=0.2), "shoulder_pan_joint at 3.14 rad/s at most"),
+        (quintic(way=7.0, seconds=20.0), "shoulder_pan_joint within -6.28 to 6.28"),
+        (quintic(way=-7.0, seconds=20.0), "shoulder_pan_joint within -6.28 to 6.28"),
         (JointPath(MODEL.joint_names, quintic().stamps, quintic().positions[:, :5]), "expected positions of shape"),
         (JointPath(MODEL.joint_names[:5], quintic().stamps, quintic().positions[:, :5]), "wrist_3_joint"),
         (JointPath(MODEL.joint_names, quintic().stamps, quintic().positions * np.nan), "finite"),

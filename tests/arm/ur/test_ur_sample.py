@@ -51,17 +51,29 @@ def test_another_number_of_joints_is_refused(field: str, count: int) -> None:
         ({"speed_scaling": float("inf")}, "speed scaling inf"),
         ({"speed_scaling": -0.5}, "speed scaling -0.5"),
         ({"qd": np.array([0, 0, 9.0, 0, 0, 0])}, "elbow_joint: beyond its rating"),
+        ({"qd": np.array([0, 1.0, -9.0, 0, 0, 0])}, "elbow_joint: beyond its rating"),
         ({"q": np.array([0, 0, 0, 8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
+        ({"q": np.array([0, 6.0, 0, -8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
     ],
 )
 def test_numbers_in_wrong_fields_are_refused(changes: dict[str, object], word: str) -> None:
     assert word in str(implausible(MODEL, sample(**changes), None))
 
 
-def test_an_arm_does_not_jump() -> None:
-    away = START + np.array([0, 0.5, 0, 0, 0, 0])
-    assert "shoulder_lift_joint jumped by 0.50 rad" in str(implausible(MODEL, sample(1.008, q=away), sample()))
+@pytest.mark.parametrize("way", [-0.5, 0.5])
+def test_an_arm_does_not_jump(way: float) -> None:
+    away = START + np.array([0.01, way, 0, 0, 0, 0])
+    for clock_s in (1.008, 0.5):  # an earlier time explains nothing
+        found = implausible(MODEL, sample(clock_s, q=away), sample())
+        assert found == "shoulder_lift_joint jumped by 0.50 rad"
     assert implausible(MODEL, sample(2.0, q=away), sample()) is None  # a second without packages explains it
+
+
+@pytest.mark.parametrize("end", [-1, 1])
+def test_an_arm_may_stand_a_little_beyond_the_range_of_its_ratings(end: int) -> None:
+    for beyond, believed in ((0.15, True), (0.25, False)):
+        q = np.array([0, 0, 0, 0, end * (MODEL.upper[4] + beyond), 0])
+        assert (implausible(MODEL, sample(q=q), None) is None) == believed
 
 
 def test_five_joints_decoded_as_six_are_refused() -> None:
@@ -76,6 +88,8 @@ def test_five_joints_decoded_as_six_are_refused() -> None:
 )
 def test_an_arm_that_may_not_move_says_what_is_to_be_done(changes: dict[str, object], word: str) -> None:
     assert not_ready(sample()) is None
+    assert sample().may_move
+    assert not sample(**changes).may_move
     reason = not_ready(sample(**changes))
     assert reason is not None
     assert word in reason

@@ -16,6 +16,7 @@ from twin_node.arm.ur import (
     DriverMode,
     DriverState,
     Follow,
+    Halt,
     LeavePath,
     UrParameters,
 )
@@ -67,6 +68,25 @@ def test_servo_commands_to_a_script_that_has_stopped_are_not_believed() -> None:
     bench.link.runs_script = False
     assert bench.ms_until(DriverState.HALTED) <= 8
     assert bench.report.reason == "the control script does not run: it refused a command"
+
+
+def test_a_control_script_that_has_stopped_is_seen_before_the_arm_lags() -> None:
+    bench = servo_bench()
+    bench.run(400)
+    bench.link.tell(runtime_state=1)
+    assert bench.ms_until(DriverState.HALTED) <= 12
+    assert bench.report.reason == "the control script has stopped"
+
+
+def test_the_control_script_is_begun_where_nothing_is_wrong_and_after_each_halt() -> None:
+    assert Bench().link.preparations == 0
+    assert Bench(mode=DriverMode.SERVO).link.preparations == 1
+    bench = Bench(halt=Halt("driver process ended by signal 9"), mode=DriverMode.SERVO)
+    bench.run(200)
+    assert (bench.link.preparations, bench.link.servoed) == (0, [])
+    bench.acknowledge()
+    assert bench.run(200).state is DriverState.READY
+    assert bench.link.preparations == 1
 
 
 def test_an_arm_that_does_not_follow_is_halted() -> None:
