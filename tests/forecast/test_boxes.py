@@ -74,9 +74,11 @@ def test_far_small_things_keep_boxes_of_their_own() -> None:
 
 def test_one_box_holds_even_a_grid_longer_than_the_largest_cell() -> None:
     long = Grid(np.zeros(3), 0.02, (1100, 4, 4))
-    boxes = fitted(long, smallest_boxes(long, np.array([0, 9000, long.size - 1])), 1, NO_PLACES)
-    assert np.array_equal(boxes.lower, [[0, 0, 0]])
-    assert np.array_equal(boxes.upper, [[1099, 3, 3]])
+    wanted = [Wanted(long, 1, 0, (np.array([0, 9000, long.size - 1]), np.zeros(0, int)))]
+    found = covers(wanted, np.zeros(0, np.uint32))
+    assert np.array_equal(found.lower, [[0, 0, 0]])
+    assert np.array_equal(found.upper, [[1099, 3, 3]])
+    assert same(found, covers_reference(wanted, np.zeros(0, np.uint32)))
 
 
 def test_an_earlier_cover_is_kept_where_it_is_nearly_as_good() -> None:
