@@ -8,6 +8,7 @@ from twin_node.forecast.bound import (
     CUES,
     LARGEST_RADIUS,
     LEAST_FACTOR,
+    MOST_FACTOR,
     Bound,
     BoundParameters,
     CoverageControl,
@@ -71,6 +72,28 @@ def test_surprises_widen_the_bound_step_by_step_and_are_forgotten() -> None:
     assert radius() > 3 * before
     followed(bound, 12.0, calm, 5.0)
     assert radius() < 1.5 * before
+
+
+def test_one_good_set_is_no_record_and_a_few_seconds_are() -> None:
+    """Of 2 s of steady errors the bound holds little more than these; of the first of them it hardly narrows."""
+    bound, now, errors = Bound(), like(np.full(40, 0.05)), np.full(40, 0.01)
+    first = bound.quantile
+    bound.observe(0.0, now, errors, bound.radii(now, np.ones(40), HORIZON), PERIOD)
+    assert 0.7 * first < bound.quantile < 0.95 * first
+    for step in range(1, 90):
+        bound.observe(step * PERIOD, now, errors, bound.radii(now, np.ones(40), HORIZON), PERIOD)
+    assert np.all(bound.radii(now, np.ones(40), HORIZON) < 0.02)
+
+
+def test_who_erred_much_long_ago_is_expected_to_err_as_of_late() -> None:
+    bound, spreads = Bound(), np.repeat([0.02, 0.3], 20)
+    now, found = like(spreads), []
+    for time in np.arange(0, 12, PERIOD):
+        errors = np.repeat([0.01, 0.2] if time < 4 else [0.2, 0.01], 20)
+        bound.observe(float(time), now, errors, np.ones(40), PERIOD)
+        found.append(bound.scales(now))
+    assert found[100][0] < found[100][-1]
+    assert found[-1][0] > found[-1][-1]
 
 
 def quantile_after(share: float) -> float:
@@ -209,6 +232,14 @@ def test_the_factor_does_not_shrink_away_while_all_that_is_seen_is_held() -> Non
     for _ in range(3000):
         control.observe(1.0, 1.0, control.factor, 0.2)
     assert np.isclose(control.factor, LEAST_FACTOR)
+
+
+def test_the_factor_grows_no_further_while_nothing_that_is_seen_is_held() -> None:
+    """It would take as long to come down again."""
+    control = CoverageControl(BoundParameters())
+    for _ in range(100):
+        control.observe(0.0, 0.0, control.factor, 1.0)
+    assert control.factor == MOST_FACTOR
 
 
 def test_coverage_is_not_a_number_before_the_first_truth() -> None:

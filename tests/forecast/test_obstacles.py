@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -176,6 +178,18 @@ def test_a_speed_beyond_a_persons_is_told_only_as_far_as_it_is_sure() -> None:
         obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
         told.append(float(obstacles.velocities[obstacles.kinds == ObstacleKind.MOVING][0, 0]))
     assert np.allclose(told, [2.0, PERSON_SPEED, 1.2])
+
+
+def test_what_gets_no_farther_all_along_is_told_so_and_not_that_nobody_knows() -> None:
+    """A reach of 0 m/s means the latter: the law would take a person's speed instead."""
+    blobs, seen_at = np.tile([-0.2, 0.5, 0.4], (5, 1)), np.array([7, 8])
+    still = replace(spreading(GRID, seen_at), speeds=np.zeros(1))
+    seen = Sighted(GRID, still, spreading(GRID, seen_at[:0]), 0.1)
+    obstacles = cover(occupancy(blobs, np.zeros(0, np.int64)), sighted=seen)
+    assert obstacles.reach_speeds is not None and obstacles.reach_delays is not None
+    speed, delay = obstacles.reach_speeds[obstacles.as_seen], obstacles.reach_delays[obstacles.as_seen]
+    assert (speed > 0).all() and np.isfinite(delay).all()
+    assert np.allclose(speed * (0.3 - delay), 0.05, atol=1e-3)
 
 
 def test_cap_below_one_is_refused() -> None:
