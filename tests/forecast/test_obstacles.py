@@ -173,11 +173,29 @@ def test_bounds_are_those_inside_the_shapes() -> None:
 def test_a_speed_beyond_a_persons_is_told_only_as_far_as_it_is_sure() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
     told = []
-    for speed, sigma in ((3.0, 0.5), (3.0, 2.0), (1.2, 2.0)):
+    for speed, sigma in ((3.0, 0.5), (3.0, 2.0), (1.2, 2.0), (0.0, 2.0)):
         motion = PartMotion(blobs[:1], np.array([[speed, 0, 0]]), np.zeros((5, 1)), sigmas=np.array([sigma]))
         obstacles = cover(occupancy(blobs, np.array([0])), None, None, motion)
         told.append(float(obstacles.velocities[obstacles.kinds == ObstacleKind.MOVING][0, 0]))
-    assert np.allclose(told, [2.0, PERSON_SPEED, 1.2])
+    assert np.allclose(told, [2.0, PERSON_SPEED, 1.2, 0.0])
+
+
+def test_of_what_leaves_the_workspace_it_is_told_where_it_was_seen() -> None:
+    """Its later layers are empty."""
+    blobs = np.full((5, 3), 100.0)
+    blobs[:2] = [-0.2, 0.5, 0.4]
+    nothing = np.zeros(0, np.int64)
+    assert cover(occupancy(blobs, nothing), sighted=sighted(GRID, np.array([7, 8]))).as_seen.any()
+
+
+def test_of_all_kinds_together_there_are_no_more_than_the_caps_add_up_to() -> None:
+    """A checker has room for so many."""
+    all_of_it = np.arange(GRID.size)
+    caps = CoverParameters(most_moving=1, most_seen=1, most_static=1, most_unknown=1)
+    seen = Sighted(GRID, spreading(GRID, all_of_it), spreading(GRID, all_of_it), 0.1)
+    found = occupancy(np.tile([-0.2, 0.5, 0.4], (5, 1)), all_of_it)
+    everywhere = Bits.of_mask(GRID.dims, np.ones(GRID.size, np.bool_))
+    assert len(cover(found, None, caps, None, Hidden(everywhere, everywhere), seen).ids) == caps.most
 
 
 def test_what_gets_no_farther_all_along_is_told_so_and_not_that_nobody_knows() -> None:

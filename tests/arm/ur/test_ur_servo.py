@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +17,7 @@ from twin_node.arm.ur import (
     Follow,
     Halt,
     LeavePath,
-    UrParameters,
 )
-from twin_node.arm.ur.link import RtdeLink
 from twin_node.robot import ur_model
 from twin_node.scene import JointPath
 
@@ -116,15 +113,6 @@ def test_an_arm_that_is_as_far_behind_as_its_look_ahead_has_it_is_not_halted(mod
         behind.append(bench.link.servoed[-1][5] - bench.link.state.q[5])
     assert max(behind) > 0.5
     np.testing.assert_allclose(bench.link.state.q, turning[-1], atol=0.05)
-
-
-def test_the_look_ahead_goes_to_the_controller() -> None:
-    sent: list[tuple[float, ...]] = []
-    link = RtdeLink.__new__(RtdeLink)  # a connection needs a controller
-    link._parameters = UrParameters(mode=DriverMode.SERVO, lookahead_s=0.05)
-    link._control = SimpleNamespace(servoJ=lambda q, *rest: bool(sent.append(rest)) or True)
-    assert link.servo(START)
-    assert sent == [(0.0, 0.0, 0.004, 0.05, 300.0)]
 
 
 def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:
