@@ -61,11 +61,24 @@ def test_the_second_proof_holds_for_an_arm_that_leaves_until_it_stands(ur5e_chec
     assert share(at_rest_m + 1.6 * stop_s + 0.1) == 1.0
 
 
+def test_an_arm_leaves_whom_nobody_forecast_only_if_he_cannot_overtake_it(ur5e_checker: ArmCollisionChecker) -> None:
+    """He was taken to stay where he was seen: of present obstacles alone a hand came from behind into a moving arm."""
+    at_rest_m = 1.6 * (0.15 + REACTION_S) + 0.035
+    at_full_speed_m = at_rest_m + 1.6 * stopping_table("ur5e").stop(TURNING).duration_s
+    behind = [beside_the_tool(ur5e_checker, -left_m, valid_ms=SEEN) for left_m in np.arange(0.3, 1.0, 0.05)]
+    found = [decided_since(ur5e_checker, seen) for seen in behind]
+    assert {one.speed_fraction for one in found if one.distance < at_rest_m} == {0.0}
+    assert {one.speed_fraction for one in found if one.distance > at_full_speed_m} == {1.0}
+    between = [one.speed_fraction for one in found if at_rest_m < one.distance < at_full_speed_m]
+    assert len(between) > 1 and between == sorted(between)
+    assert between[0] > 0.0 and between[-1] < 1.0
+
+
 def test_who_overtakes_an_arm_and_turns_in_before_it_is_not_behind_it(ur5e_checker: ArmCollisionChecker) -> None:
     """The arm leaves where a hand was seen, so that proved enough: it went on at full speed into who was forecast."""
-    turns_in = beside_the_tool(ur5e_checker, 0.1)
+    turns_in, goes_away = beside_the_tool(ur5e_checker, 0.1), beside_the_tool(ur5e_checker, 1.5)
     was_behind = beside_the_tool(ur5e_checker, -0.5, valid_ms=SEEN)
-    assert decided_since(ur5e_checker, was_behind).speed_fraction == 1.0
+    assert decided_since(ur5e_checker, goes_away, was_behind).speed_fraction == 1.0
     both = decided_since(ur5e_checker, turns_in, was_behind)
     assert (both.speed_fraction, both.reason) == (0.0, "stopped for MOVING")
     was_far_behind = beside_the_tool(ur5e_checker, -1.5, valid_ms=SEEN)

@@ -168,10 +168,11 @@ class Hazards:
     """[n] True where plain clearance is enough."""
     moves: Bool
     """[n] True where something was seen to move, or may by then."""
-    own_speeds: Float64
-    """[n] m/s."""
     speeds: Float64
     """[n] v_h, m/s: their own, and a person's at least."""
+    going_on: Float64
+    """[n] as fast as which they may overtake an arm that leaves, m/s: their own speed where a forecast tells how they
+    come there, v_h where nobody does."""
     valid_from: NDArray[np.int64]
     """[n] ns."""
     valid_to: NDArray[np.int64]
@@ -213,13 +214,14 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     counts = (source.valid_to >= stamp) | in_last_layer | as_seen
     counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
     own_speeds = np.linalg.norm(source.velocities, axis=1)
+    speeds = np.maximum(own_speeds, parameters.human_speed)
     is_first = source.valid_from <= source.begins + _SAME_LAYER_NS
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
         moves=np.asarray(kinds == ObstacleKind.MOVING),
-        own_speeds=own_speeds,
-        speeds=np.maximum(own_speeds, parameters.human_speed),
+        speeds=speeds,
+        going_on=np.where(source.as_seen, speeds, own_speeds),
         valid_from=np.where(is_first, stamp, source.valid_from),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
@@ -342,7 +344,7 @@ class Encounter:
         standstill = self.motion.standstill(course)
         terms = self._terms(course)
         after_s = np.maximum(standstill - self.hazards.valid_to, 0) * 1e-9
-        goes_on = (self.hazards.own_speeds * after_s)[self.rows]
+        goes_on = (self.hazards.going_on * after_s)[self.rows]
         touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, goes_on)
         touching = self.hazards.moves[self.rows] & (self.distances < touches)
         closes = self.closing > self.parameters.closing_speed
