@@ -123,27 +123,41 @@ def test_a_recording_whose_clock_begins_at_0_keeps_its_first_set() -> None:
     assert [frames.stamp for frames in passed] == [0, 100_000_000]
 
 
-@pytest.mark.parametrize(("clock", "is_left_out"), [(SystemClock(), True), (SteppedClock(), False)], ids=["day", "log"])
-def test_a_camera_that_was_moved_stays_out_when_the_computers_clock_is_put_back(
-    clock: Clock, is_left_out: bool
+@pytest.mark.parametrize(
+    ("clock", "begins_s", "is_left_out"),
+    [(SystemClock, 30, True), (SystemClock, 90, True), (SteppedClock, 30, False)],
+    ids=["clock put back", "process ended", "log begun again"],
+)
+def test_a_camera_that_was_moved_stays_out_where_the_node_is_made_anew(
+    tmp_path: Path, clock: Callable[[], Clock], begins_s: int, is_left_out: bool
 ) -> None:
-    """All nodes are made anew then; a log that begins again begins with its cameras in place."""
+    """In the same process or in another one, which knows only what was left to it; a log begins with its cameras in
+    place."""
     scene = np.random.default_rng(0).integers(0, 255, (24, 40, 3), dtype=np.uint8).repeat(5, 0).repeat(5, 1)
     home, moved = (np.ascontiguousarray(scene[:96, shift : shift + 128]) for shift in (0, 3))
     last: list[FrameSet] = []
-    for begins_s in (60, 30):
+    nodes = []
+    for run_s in (60, begins_s):
         bus = LocalBus()
-        node = DriftNode(bus, clock, DriftParameters())
+        nodes.append(DriftNode(bus, clock(), DriftParameters(), tmp_path))
         bus.subscribe(TRUSTED_FRAMES, last.append)
-        node.configure()
-        node.activate()
+        nodes[-1].configure()
+        nodes[-1].activate()
         for i in range(20):
-            left = home if begins_s == 60 and i < 5 else moved
-            bus.publish(FRAMES, frames_of({"left": left, "right": home}, begins_s * 10**9 + i * 100_000_000))
-        node.deactivate()
-        node.cleanup()
+            left = home if run_s == 60 and i < 5 else moved
+            bus.publish(FRAMES, frames_of({"left": left, "right": home}, run_s * 10**9 + i * 100_000_000))
     assert len(last) == 40
     assert [len(frames.views) for frames in last[20:]] == [1 if is_left_out else 2] * 20
+
+
+def test_a_disk_that_takes_nothing_does_not_end_the_watch(tmp_path: Path) -> None:
+    bus, passed = LocalBus(), []
+    node = DriftNode(bus, SystemClock(), DriftParameters(), tmp_path / "gone")
+    bus.subscribe(TRUSTED_FRAMES, passed.append)
+    node.configure()
+    node.activate()
+    bus.publish(FRAMES, frames_of({"left": np.zeros((96, 128, 3), np.uint8)}, 10**9))
+    assert len(passed) == 1
 
 
 def test_a_camera_that_is_left_out_and_comes_back_finds_the_model_working() -> None:

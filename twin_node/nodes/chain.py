@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from twin_node.forecast import Forecaster, default_grid
 from twin_node.model import WindowModel
@@ -38,10 +39,12 @@ class Chain:
         following: Following = Following.IN_TURN,
         dropped: Callable[[], int] = lambda: 0,
         say: Callable[[str], None] | None = None,
+        kept: Path | None = None,
     ) -> None:
         """`workspace` [2, 3] m; `following`: see `ModelNode`; `dropped()`: frame sets dropped so far, for the status.
 
-        Where the size is to be measured it is if there is a user to `say` it to; else the parameters stand as they are.
+        `kept`: see `DriftNode`. Where the size is to be measured it is if there is a user to `say` it to; else the
+        parameters stand as they are.
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
@@ -55,7 +58,7 @@ class Chain:
         self.model_node = ModelNode(bus, clock, make_model(parameters), following, trial)
         self._nodes: Sequence[Node] = (
             self.status,
-            DriftNode(bus, clock, parameters.drift),
+            DriftNode(bus, clock, parameters.drift, kept),
             self.model_node,
             ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
         )

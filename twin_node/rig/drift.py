@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -100,6 +102,14 @@ class DriftWatch:
                 watched.check(contrast(view.rgb), view.valid, view.stamp, self._parameters, others)
         return DriftReport(frames.stamp, tuple(map(self._drift_of, self._cameras.values())))
 
+    def memory(self) -> bytes:
+        """What is known of the cameras, for a watch in another process; not which of them hang just now."""
+        return pickle.dumps(list(self._cameras.values()), pickle.HIGHEST_PROTOCOL)
+
+    def recall(self, memory: bytes) -> None:
+        """Goes on with what a watch of the same program has left as its `memory`."""
+        self._cameras = {watched.camera.name: watched for watched in pickle.loads(memory)}
+
     def _drift_of(self, watched: _Watched) -> Drift:
         """What to say of a camera: that it hangs goes before where it stands, which is not known then."""
         others = [other.streams for other in self._cameras.values() if other is not watched]
@@ -134,6 +144,10 @@ class _Watched:
         self.drift = Drift(name, Verdict.STEADY, 0.0, 0.0, count, self.checked, measures_depth=self.measures_depth)
         self.creep = _Creep(self.checked)
         self.still = _Stillness(self.checked)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the last images: they are many times as large, and whether a camera hangs is soon found out anew."""
+        return {**self.__dict__, "streams": Streams(), "still": _Stillness(self.checked)}
 
     def put_back(self, by: int) -> None:
         """The clock was put back by so much, ns."""

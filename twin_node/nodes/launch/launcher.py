@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -64,6 +65,8 @@ class Launcher:
         self._spare_failures: dict[str, list[float]] = {}
         self._restarts = 0
         self._looked = time.monotonic()
+        self._kept = ""
+        """Folder of what processes leave to those that take their places."""
         self._silences: dict[str, float] = {}
         """For how long nothing was heard of each process, s."""
 
@@ -113,6 +116,10 @@ class Launcher:
             raise GraphError(
                 f"{self._log_folder}: no folder for logs can be made ({error.strerror}); choose one with --log-dir"
             ) from None
+        with _temporary_folder() as self._kept:
+            return self._run()
+
+    def _run(self) -> LaunchResult:
         if not self._plan.is_lockstep:
             self._router = open_router(self._plan.zenoh)
         try:
@@ -250,6 +257,7 @@ class Launcher:
             dataclasses.asdict(plan.zenoh),
             plan.remaps,
             plan.where,
+            self._kept,
         )
         log = self._log_folder / f"{process.name}.log"
         return Child(process.name, order, log, self._news.set, lambda line: self._say(f"{process.name}: {line}"))
@@ -277,6 +285,13 @@ class Launcher:
 
 
 _LOCKSTEP = ProcessPlan("lockstep", (), restarts=False, ends_launch=True)
+
+
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    try:
+        return tempfile.TemporaryDirectory(prefix="twin_node_", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise GraphError(f"no temporary folder can be made ({error.strerror}); free space, or set TMPDIR") from None
 
 
 def _counted(failures: dict[str, list[float]], name: str) -> int:

@@ -8,6 +8,7 @@ import itertools
 import threading
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from twin_node.errors import TwinError
 from twin_node.messages import Message, builtin_types, convert
@@ -82,6 +83,7 @@ class NodeThread:
             self._finish,
             self._wire.endpoints,
             self._say,
+            Path(self._order.kept) if self._order.kept else None,
         )
         self._node = find_factory(self.name)(setup)
 

@@ -22,6 +22,8 @@ class Order:
     """The nodes' own names of topics -> those on the wire."""
     where: str
     """What errors about parameters name."""
+    kept: str = ""
+    """Folder of what the launch's processes leave to those that take their places; empty: there is none."""
 
     def to_json(self) -> str:
         """One line."""

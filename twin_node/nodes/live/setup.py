@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from twin_node.nodes.live.rig_source import RigParameters
@@ -42,6 +43,9 @@ class Setup:
     """Publishers and subscribers of the whole graph, as far as they are known by now."""
     say: Callable[[str], None] = _print
     """Tells the user something, in a line."""
+    kept: Path | None = None
+    """Folder in which a node leaves what the node of another process has to know that takes its place in this launch;
+    None: none does."""
 
     def parameters(self, kind: type[T], section: str | None = None) -> T:
         """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.

@@ -31,6 +31,7 @@ class TwinNode(Node):
             *(bus, setup.clock, workspace, parameters, self._latency, Following.APART),
             dropped=lambda: bus.dropped(FRAMES),
             say=setup.say,
+            kept=setup.kept,
         )
 
     def on_configure(self) -> None:
