@@ -58,6 +58,8 @@ class Process:
 def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Launcher]:
     """`begin(kind, say, processes)`: a launcher of a launch file's processes, which are of a kind."""
     monkeypatch.setattr(launcher_module, "open_router", lambda _: SimpleNamespace(close=lambda: None))
+    names = SimpleNamespace(taken=lambda: None, close=lambda: None)
+    monkeypatch.setattr(launcher_module, "NodeNames", lambda *_: names)
 
     def make(kind: type[Process], say: Callable[[str], None], processes: str) -> Launcher:
         monkeypatch.setattr(launcher_module, "Child", kind)
@@ -233,7 +235,6 @@ def test_a_router_that_ends_with_another_command_is_replaced(
     said: list[str] = []
     launcher = begin(Restless, said.append, "arm: {nodes: [arm]}}, zenoh: {routers: [tcp/10.0.0.2:7447]")
     monkeypatch.setattr(launcher_module, "open_router", open_router)
-    monkeypatch.setattr(launcher_module, "node_names", lambda _: frozenset())
     launcher.run()
     router = tries[-1]
     assert not left and router is not None and not router.is_open

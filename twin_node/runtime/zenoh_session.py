@@ -66,8 +66,29 @@ class ZenohParameters:
 
 def open_session(parameters: ZenohParameters) -> Any:
     """A peer's session. Raises `WireError` where zenoh is not installed or refuses its configuration."""
-    path = parameters.config or os.environ.get(SESSION_CONFIG_VARIABLE, "")
-    return _open(_from_file(path) if path else _session_config(parameters))
+    return _open(_given_session_config(parameters))
+
+
+def open_client(parameters: ZenohParameters) -> Any:
+    """A session that speaks to the router alone, and is told at once all that the router knows.
+
+    A peer misses some of that while it and others find each other. Raises `WireError` as `open_session`, and where no
+    router answers.
+    """
+    config = _given_session_config(parameters)
+    config.insert_json5("mode", json.dumps("client"))
+    config.insert_json5("listen/endpoints", json.dumps([]))
+    try:
+        session = _zenoh().open(config)
+    except _zenoh().ZError:
+        session = None
+    if session is None or not session.info.routers_zid():
+        raise WireError(
+            f"{parameters.endpoint}: expected a zenoh router there, or a place where one can be started, found "
+            "neither: what listens is no zenoh router, or the address is wrong; end it, or correct the address "
+            "(launch: zenoh: {endpoint})"
+        )
+    return session
 
 
 def open_router(parameters: ZenohParameters) -> Any | None:
@@ -103,6 +124,11 @@ def _open(config: Any) -> Any:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise WireError(f"zenoh: the session cannot be opened ({_one_line(error)}); check its endpoints") from None
+
+
+def _given_session_config(parameters: ZenohParameters) -> Any:
+    path = parameters.config or os.environ.get(SESSION_CONFIG_VARIABLE, "")
+    return _from_file(path) if path else _session_config(parameters)
 
 
 def _from_file(path: str) -> Any:

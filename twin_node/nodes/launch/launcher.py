@@ -17,8 +17,8 @@ from twin_node.nodes.launch.host import REFUSED
 from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.topics import GraphError
-from twin_node.runtime.neighbours import node_names
-from twin_node.runtime.zenoh_session import open_router
+from twin_node.runtime.neighbours import NodeNames
+from twin_node.runtime.zenoh_session import WireError, open_router
 
 FIRST_STATUS = 10
 """Exit status of a launch whose first process failed for good; the second's is one more, and so on."""
@@ -58,6 +58,7 @@ class Launcher:
         self._interrupted = False
         self._is_active = False
         self._router: Any | None = None
+        self._names: NodeNames | None = None
         self._children: dict[str, Child] = {}
         self._spares: dict[str, Child] = {}
         self._spareless: set[str] = set()
@@ -123,8 +124,8 @@ class Launcher:
         if not self._plan.is_lockstep:
             self._router = open_router(self._plan.zenoh)
         try:
-            if not self._plan.is_lockstep and (self._router is None or any(self._plan.zenoh.routers)):
-                self._check_neighbours()
+            if not self._plan.is_lockstep:
+                self._names = self._claimed_names()
                 self._tell_of_foreign_router()
             for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
                 self._children[process.name] = self._spawned(process)
@@ -132,21 +133,28 @@ class Launcher:
             return self._watch()
         finally:
             self._stop_all()
-            if self._router is not None:
-                self._router.close()
+            for opened in (self._names, self._router):
+                if opened is not None:
+                    opened.close()
 
-    def _check_neighbours(self) -> None:
+    def _claimed_names(self) -> NodeNames | None:
         """Two nodes of one name would contradict each other: two arms, two speeds."""
         zenoh = self._plan.zenoh
-        if zenoh.router == "external":
-            return  # it may come later, from another machine
-        alive = node_names(zenoh)
-        twice = [node for process in self._plan.processes for node in process.nodes if node in alive]
-        if twice:
-            raise GraphError(
-                f"{self._plan.path}: node '{twice[0]}' is alive already in ROS domain {zenoh.domain_id}, in another "
-                "launch; end that, or set ROS_DOMAIN_ID to another number for this one"
-            )
+        try:
+            names = NodeNames(zenoh, [node for process in self._plan.processes for node in process.nodes])
+        except WireError:
+            if zenoh.router != "external":
+                raise
+            return None  # it may come later, from another machine
+        is_first = self._router is not None and not any(zenoh.routers)
+        taken = None if is_first else names.taken()
+        if taken is None:
+            return names
+        names.close()
+        raise GraphError(
+            f"{self._plan.path}: node '{taken}' is alive already in ROS domain {zenoh.domain_id}, in another launch; "
+            "end that, or set ROS_DOMAIN_ID to another number for this one"
+        )
 
     def _tell_of_foreign_router(self) -> None:
         """A recorder that was begun before has a router too, and that is joined to no other machine's."""

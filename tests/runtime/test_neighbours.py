@@ -1,0 +1,62 @@
+"""Names of nodes on a router of the test's own, claimed by what takes itself for launches."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from twin_node.bench.graph_run import free_endpoint
+from twin_node.nodes.topics import SEPARATION, kind_of_own
+from twin_node.runtime import neighbours
+from twin_node.runtime.neighbours import NodeNames
+from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_wire import ZenohWire
+
+pytest.importorskip("zenoh")
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[ZenohParameters]:
+    """A network on which a recorder is."""
+    parameters = ZenohParameters(router="builtin", endpoint=free_endpoint(), domain=0)
+    router = open_router(parameters)
+    assert router is not None
+    with contextlib.closing(router), contextlib.closing(ZenohWire(parameters)) as wire:
+        wire.subscribe("recorder", SEPARATION, kind_of_own(SEPARATION), lambda _: None)
+        yield parameters
+
+
+@pytest.fixture(autouse=True)
+def looks_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neighbours, "TELL_S", 0.2)
+
+
+def test_of_two_launches_that_begin_at_once_one_gets_the_names(network: ZenohParameters) -> None:
+    """Before any of their nodes is there to be seen, and whatever else they begin."""
+    have_claimed = threading.Barrier(2)
+
+    def begin(other: str) -> str | None:
+        names = NodeNames(network, ["twin", other])
+        have_claimed.wait()
+        taken = names.taken()
+        if taken is not None:
+            names.close()
+        return taken
+
+    with ThreadPoolExecutor() as pool:
+        assert sorted(map(str, pool.map(begin, ("arm", "page")))) == ["None", "twin"]
+
+
+def test_names_that_are_claimed_or_alive_are_taken_until_their_owner_ends(network: ZenohParameters) -> None:
+    with NodeNames(network, ["twin"]) as first:
+        assert first.taken() is None
+        with NodeNames(network, ["twin"]) as second, NodeNames(network, ["arm"]) as other:
+            assert second.taken() == "twin"
+            assert other.taken() is None
+    with NodeNames(network, ["twin"]) as again, NodeNames(network, ["recorder"]) as alive:
+        assert again.taken() is None
+        assert alive.taken() == "recorder"
