@@ -18,6 +18,19 @@ from twin_node.nodes.launch.order import Order
 WAIT_S = 60.0
 
 
+@pytest.mark.parametrize("log", ["gone/twin.log", "file/twin.log"])
+def test_a_process_is_started_where_its_log_cannot_be_kept(tmp_path: Path, log: str) -> None:
+    """Somebody has cleared the logs away, or their disk is read-only by now: the graph needs its process anew."""
+    (tmp_path / "file").touch()
+    said: list[str] = []
+    order = Order(("recorder",), {"recorder": {"otput": "run"}}, False, False, {}, {}, "test.yaml")
+    child = Child("twin", order, tmp_path / log, lambda: None, said.append)
+    child.hear_out()
+    child._process.wait(WAIT_S)
+    assert child.status == REFUSED
+    assert (tmp_path / log).exists() or "no log is kept" in said[0]
+
+
 def test_why_a_process_has_ended_is_heard_before_it_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy computer the listening thread may come to its turn after the end is known: an error without words."""
     its_turn, ended = threading.Event(), threading.Event()

@@ -103,6 +103,47 @@ def test_the_exit_status_tells_the_place_in_the_file_whatever_was_left_out(begin
     assert begin(Failing, lambda line: None, processes).run().status == FIRST_STATUS + 1
 
 
+def test_a_process_that_cannot_be_started_is_tried_again(begin: Callable[..., Launcher]) -> None:
+    """Of a computer that has no room for another process just now: arm and twin went with it."""
+    begun: list[Process] = []
+    said: list[str] = []
+
+    class Failing(Process):
+        def has_begun(self) -> None:
+            begun.append(self)
+            if len(begun) == 2:
+                raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+        def activate(self) -> None:
+            self.is_active, self.status = True, 1 if len(begun) == 1 else None
+            if len(begun) > 1:
+                launcher.interrupt()
+            self._on_news()
+
+    launcher = begin(Failing, said.append, "arm: {nodes: [arm]}")
+    assert launcher.run().status == 0
+    assert len(begun) == 3
+    assert "arm: cannot be started (Resource temporarily unavailable)" in said
+
+
+def test_a_spare_that_cannot_be_started_is_gone_without(begin: Callable[..., Launcher]) -> None:
+    said: list[str] = []
+
+    class Only(Process):
+        def has_begun(self) -> None:
+            if said:
+                raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    def say(line: str) -> None:
+        said.append(line)
+        if "no spare" in line:
+            launcher.interrupt()
+
+    launcher = begin(Only, say, "arm: {nodes: [arm], spare: true}")
+    assert launcher.run().status == 0
+    assert said[1:] == ["arm: no spare can be kept: Resource temporarily unavailable"]
+
+
 def test_a_launch_whose_output_nobody_takes_goes_on(begin: Callable[..., Launcher]) -> None:
     """`launch > launch.log` on the disk that its recorder has filled: the word of it ended twin and arm."""
     begun: list[Process] = []

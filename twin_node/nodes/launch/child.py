@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from twin_node.nodes.launch.order import Order
 
@@ -30,7 +31,8 @@ class Child:
     ) -> None:
         """`on_news()` is called, in a thread of the child's, when it has loaded or configured nodes, and at its end.
 
-        `on_word(line)` is called there with what its nodes tell the user.
+        `on_word(line)` is called there with what its nodes tell the user, and here where `log` cannot be written to.
+        Raises `OSError` where there is no room for another process.
         """
         self.name = name
         self.is_loaded = False
@@ -43,16 +45,21 @@ class Child:
         self._on_news = on_news
         self._on_word = on_word
         read_fd, write_fd = os.pipe()
-        with log.open("ab") as output:
-            self._process = subprocess.Popen(
-                [sys.executable, "-u", "-m", "twin_node.nodes.launch.host", str(write_fd)],
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                pass_fds=(write_fd,),
-                start_new_session=True,
-            )
-        os.close(write_fd)
+        try:
+            with _opened(log, on_word) as output:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-u", "-m", "twin_node.nodes.launch.host", str(write_fd)],
+                    stdin=subprocess.PIPE,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(write_fd,),
+                    start_new_session=True,
+                )
+        except BaseException:
+            os.close(read_fd)
+            raise
+        finally:
+            os.close(write_fd)
         self._say(order.to_json())
         self._listener = threading.Thread(target=self._listen, args=(read_fd,), name=f"{name} events", daemon=True)
         self._listener.start()
@@ -125,3 +132,13 @@ class Child:
                 self._on_news()
         self._process.wait()
         self._on_news()
+
+
+def _opened(log: Path, on_word: Callable[[str], None]) -> BinaryIO:
+    """The log, in a folder that is made anew where it was cleared away; nowhere, and told, where none can be."""
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        return log.open("ab")
+    except OSError as error:
+        on_word(f"no log is kept: {log} cannot be written ({error.strerror})")
+        return Path(os.devnull).open("ab")

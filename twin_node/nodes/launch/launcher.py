@@ -244,8 +244,15 @@ class Launcher:
                 self._spareless.add(process.name)
                 self._say(f"{process.name}: no spare can be kept: {spare.error}")
             elif spare is None or (spare.status is not None and self._replaces(process, spare)):
-                self._spares[process.name] = self._spawned(process)
+                self._add_spare(process)
                 return
+
+    def _add_spare(self, process: ProcessPlan) -> None:
+        try:
+            self._spares[process.name] = self._spawned(process)
+        except OSError as error:
+            self._spareless.add(process.name)
+            self._say(f"{process.name}: no spare can be kept: {error.strerror}")
 
     def _replaces(self, process: ProcessPlan, spare: Child) -> bool:
         """Whether another spare is tried after one that has ended without a word; where not, that is told."""
@@ -271,7 +278,10 @@ class Launcher:
         return Child(process.name, order, log, self._news.set, lambda line: self._say(f"{process.name}: {line}"))
 
     def _restarted(self, process: ProcessPlan, child: Child) -> bool:
-        """Starts a failed process again, unless it must not be, or has failed too often."""
+        """Starts a failed process again, unless it must not be, or has failed too often.
+
+        One that there is no room for just now has failed once more, and is tried again at the next look.
+        """
         failures = _counted(self._failures, process.name)
         if not process.restarts or failures > RESTARTS_ALLOWED:
             return False
@@ -279,7 +289,11 @@ class Launcher:
         self._say(f"{process.name}: {_reason(child)}; starting it again")
         spare = self._spares.pop(process.name, None)
         if spare is None or spare.status is not None:
-            spare = self._spawned(process)
+            try:
+                spare = self._spawned(process)
+            except OSError as error:
+                self._say(f"{process.name}: cannot be started ({error.strerror})")
+                return True
         self._children[process.name], self._silences[process.name] = spare, 0.0
         spare.configure()
         return True
