@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import multiprocessing
 import os
@@ -16,7 +17,7 @@ from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log
+from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log, recording
 from twin_node.bag.latched import standing_before
 from twin_node.bag.qos import profile
 from twin_node.bag.repair import repair
@@ -143,6 +144,7 @@ def test_what_a_killed_recorder_has_written_is_read(tmp_path: Path, name: str) -
 
 
 def split_and_die(path: Path) -> None:
+    recording.FLUSH_S = 3600.0  # on a busy machine those 12 messages take longer than the usual
     fill(RecordingWriter(path, SplitParameters(max_duration_s=1.0)), 12)
     os._exit(9)
 
@@ -278,6 +280,36 @@ class FullDisk:
 
     def __exit__(self, *_: object) -> None:
         self._stream.close()
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run"])
+@pytest.mark.parametrize("is_at_end", [True, False], ids=["at its end", "under way"])
+def test_a_recording_that_was_taken_away_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, is_at_end: bool
+) -> None:
+    """Nothing refuses what is written to a file without a name: an hour of messages was told of, and was nowhere."""
+    now = [0.0]
+    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
+    writer = RecordingWriter(tmp_path / name)
+    fill(writer, 3)
+    (tmp_path / name).rename(tmp_path / "elsewhere")
+    with pytest.raises(BagError, match=rf"{name}: is not there any more, somebody has removed or moved it"):
+        if not is_at_end:
+            now[0] += recording.FLUSH_S
+            fill(writer, 3)
+        writer.close()
+    with contextlib.suppress(BagError):
+        writer.close()
+    moved = tmp_path / "elsewhere"
+    assert len(stamps_of(moved / "run_0.mcap" if moved.is_dir() else moved)) >= 2
+
+
+def test_finished_files_of_a_recording_may_be_moved_away(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 15)
+        writer._disk.settle()
+        (tmp_path / "run" / "run_0.mcap").rename(tmp_path / "kept.mcap")
+        fill(writer, 15)
 
 
 def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

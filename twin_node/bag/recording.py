@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -174,6 +175,7 @@ class RecordingWriter:
             try:
                 self._files[-1].writer.flush()
                 self._disk.ask(self._files[-1].path)
+                self._check_is_there()
             except OSError as error:
                 raise self._refused(error) from None
 
@@ -192,6 +194,7 @@ class RecordingWriter:
             finally:
                 self._write_metadata()
             self._disk.settle()
+            self._check_is_there()
         except OSError as error:
             raise self._refused(error) from None
 
@@ -245,6 +248,10 @@ class RecordingWriter:
             file.stream.close()
         self._disk.ask(file.path)
 
+    def _check_is_there(self) -> None:
+        """Raises `OSError` where somebody has taken away what is written: nothing else would, and it is lost."""
+        self._files[-1].path.stat()
+
     def _is_full(self, stamp: int) -> bool:
         file = self._files[-1]
         if self.path.suffix == ".mcap" or file.start is None:
@@ -278,6 +285,11 @@ class RecordingWriter:
         return FolderTopic(name, channel.msgtype, qos, channel.type_hash, count)
 
     def _refused(self, error: OSError) -> BagError:
+        if error.errno == errno.ENOENT:
+            return BagError(
+                f"{self.path}: is not there any more, somebody has removed or moved it, or its disk, while it was "
+                "recorded; begin another recording"
+            )
         return BagError(
             f"{self.path}: cannot be written on ({error.strerror}); what was recorded until then can be read; free "
             "space or choose another place"
