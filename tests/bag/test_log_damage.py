@@ -292,9 +292,9 @@ def test_missing_paths_and_folders_without_a_bag_are_refused(tmp_path: Path) -> 
     [
         ("{", "not the metadata of a rosbag2 folder"),
         ("begun: 2020-13-45", NONE),
-        ("something: else", r"not the metadata .* \(it has no field 'rosbag2_bagfile_information'\); run"),
-        ("5", r"not the metadata of a rosbag2 folder \(a field holds something else\); run"),
-        ("[" * 5000, r"not the metadata of a rosbag2 folder \(too many levels, one within the other\); run"),
+        ("something: else", r"not the metadata .* \(it has no field 'rosbag2_bagfile_information'\); copy it again"),
+        ("5", r"not the metadata of a rosbag2 folder \(a field holds something else\); copy it again"),
+        ("[" * 5000, r"not the metadata of a rosbag2 folder \(too many levels, one within the other\); copy it again"),
         *(
             (f"rosbag2_bagfile_information: {{relative_file_paths: {files}, topics_with_message_count: {rest}}}", NONE)
             for files, rest in (

@@ -183,6 +183,32 @@ def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_number
         open_log(tmp_path / "run")
 
 
+@pytest.mark.parametrize("metadata", [b"", b"rosbag2_bagfile_information: {", b"\0" * 500])
+def test_a_bag_whose_metadata_a_power_cut_has_taken_is_repaired(tmp_path: Path, metadata: bytes) -> None:
+    """An empty file, or one of zeros, is what some file systems leave of what was written last."""
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 30)
+    (tmp_path / "run" / "metadata.yaml").write_bytes(metadata)
+    with pytest.raises(
+        BagError, match=r"not the metadata .*; write it whole with 'twin_node check .*/run --repair OUT'"
+    ):
+        open_log(tmp_path / "run")
+    found = repair(tmp_path / "run", tmp_path / "whole")
+    assert "its files are read by their numbers" in str(found.damage)
+    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
+
+
+def test_what_is_there_of_a_bag_is_written_whole(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 30)
+    (tmp_path / "run" / "run_1.mcap").unlink()
+    with pytest.raises(BagError, match=r"not there: run_1.mcap; copy the whole bag, or write what is there with"):
+        open_log(tmp_path / "run")
+    found = repair(tmp_path / "run", tmp_path / "whole")
+    assert "names files that are not there: run_1.mcap" in str(found.damage)
+    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30) if not 10 <= i < 20]
+
+
 @pytest.mark.parametrize("output", ["whole.mcap", "whole"])
 def test_an_unfinished_recording_is_written_whole(tmp_path: Path, output: str) -> None:
     with RecordingWriter(tmp_path / "run.mcap") as writer:

@@ -37,7 +37,7 @@ class LogReader:
         metadata: Mapping[str, Mapping[str, str]],
         unreadable: Sequence[str] = (),
     ) -> None:
-        """`unreadable`: a line for each file of the log that nothing can be read of."""
+        """`unreadable`: a line for each file of the log that nothing can be read of, or that is not there."""
         self.path = path
         self._storages = tuple(storages)
         self._unreadable = tuple(unreadable)
@@ -216,7 +216,8 @@ def _stream(index: int, part: Part, topics: Collection[str] | None, start: int, 
 def open_log(path: Path | str, *, unfinished: bool = False) -> LogReader:
     """Opens an MCAP file, a `.db3` file, or a rosbag2 folder (the kind is told by content, not by name).
 
-    `unfinished`: a folder whose recorder was killed before it wrote `metadata.yaml` opens by the numbers of its files.
+    `unfinished`: a folder opens without those of its files that are not there, and by their numbers where its recorder
+    was killed before it wrote `metadata.yaml`, or that was damaged.
 
     Raises `BagError` with one line for a path that is missing, empty, no log, holds no messages, or none in CDR. A
     damaged or unfinished MCAP file opens up to its damage, a folder without those of its files that nothing can be read
@@ -234,25 +235,47 @@ def _open_folder(folder: Path, unfinished: bool) -> LogReader:
     logs = sorted(entry.name for entry in folder.iterdir() if entry.suffix in (".mcap", ".db3"))
     if not file.is_file() and _is_bag(logs):
         if unfinished:
-            return _open_files(folder, [folder / name for name in sorted(logs, key=_number)], {})
+            return _open_numbered(folder, logs)
         raise BagError(
-            f"{folder}: no {METADATA_FILE} in this folder, its recording was not finished; write it whole with "
-            f"'twin_node check {folder} --repair OUT', or give one of its files ({logs[0]})"
+            f"{folder}: no {METADATA_FILE} in this folder, its recording was not finished; {_way_out(folder, logs)}"
         )
     if not file.is_file():
         hint = f"give one of its files ({logs[0]})" if logs else "expected a rosbag2 folder or an MCAP file"
         raise BagError(f"{folder}: no {METADATA_FILE} in this folder; {hint}")
-    information = _bag_information(file)
+    try:
+        information = _bag_information(file)
+    except BagError as error:
+        if unfinished and _is_bag(logs):
+            return _open_numbered(folder, logs, f"{error}; its files are read by their numbers")
+        raise BagError(f"{error}; {_way_out(folder, logs)}") from None
     if information.formats - {"cdr"}:
         found = ", ".join(sorted(information.formats))
         raise BagError(f"{file}: expected messages in cdr, found {found}; convert the bag to cdr")
     paths = [folder / name for name in information.files]
     missing = [path.name for path in paths if not path.is_file()]
-    if missing or not paths:
-        raise BagError(
-            f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}; copy the whole bag"
-        )
-    return _open_files(folder, paths, information.records, information.compression)
+    lost = f"{file}: names files that are not there: {', '.join(missing) or 'none at all'}"
+    if len(missing) == len(paths) or (missing and not unfinished):
+        rest = f", or write what is there with {_repairing(folder)}" if len(missing) < len(paths) else ""
+        raise BagError(f"{lost}; copy the whole bag{rest}")
+    there = [path for path in paths if path.name not in missing]
+    return _open_files(folder, there, information.records, information.compression, [lost] if missing else [])
+
+
+def _open_numbered(folder: Path, names: Sequence[str], *lost: str) -> LogReader:
+    """The files of a recording of which no metadata tells."""
+    return _open_files(folder, [folder / name for name in sorted(names, key=_number)], {}, lost=lost)
+
+
+def _way_out(folder: Path, logs: Sequence[str]) -> str:
+    """What to do with the logs of a folder that does not tell of them."""
+    if not logs:
+        return "copy it again"
+    one = f"give one of its files ({logs[0]})"
+    return f"write it whole with {_repairing(folder)}, or {one}" if _is_bag(logs) else one
+
+
+def _repairing(folder: Path) -> str:
+    return f"'twin_node check {folder} --repair OUT'"
 
 
 def _is_bag(names: Sequence[str]) -> bool:
@@ -297,7 +320,7 @@ def _bag_information(file: Path) -> _Information:
         why = f"it has no field {error}"
     except (TypeError, AttributeError):
         why = "a field holds something else"
-    raise BagError(f"{file}: not the metadata of a rosbag2 folder ({why}); run `ros2 bag reindex`")
+    raise BagError(f"{file}: not the metadata of a rosbag2 folder ({why})")
 
 
 def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
@@ -317,7 +340,9 @@ def _open_files(
     files: Collection[Path],
     metadata: Mapping[str, Mapping[str, str]],
     compression: Compression = Compression.NONE,
+    lost: Sequence[str] = (),
 ) -> LogReader:
+    """`lost`: a line for what else should be there."""
     storages: list[Storage] = []
     refused: list[BagError] = []
     try:
@@ -331,7 +356,8 @@ def _open_files(
             raise refused[0]
         if compression is Compression.MESSAGE:
             storages = [UnpackedMessages(path, storage) for storage in storages]
-        return LogReader(path, storages, metadata, [f"{error}; the others are read" for error in refused])
+        unreadable = (*lost, *(f"{error}; the others are read" for error in refused))
+        return LogReader(path, storages, metadata, unreadable)
     except BaseException:
         for storage in storages:
             storage.close()

@@ -28,7 +28,8 @@ def repair(source: Path, output: Path) -> Repaired:
 
     Messages keep their times of recording and of publishing, topics their quality of service; sequence numbers begin
     anew. What defines a type goes with it as it is where nobody here understands it. Chunks that are damaged are passed
-    over; a folder whose recorder never wrote `metadata.yaml` is taken too.
+    over; a folder that lacks some of its files is taken too, and one whose `metadata.yaml` was never written, or is
+    damaged.
     Raises `BagError` where `source` is no log, `output` exists, or cannot be written; then nothing is left of it.
     """
     if os.path.lexists(output):
