@@ -9,6 +9,7 @@ import pytest
 import torch
 from model_scenes import rig, table
 
+from twin_node.model import unseen
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.plane import Plane
@@ -33,9 +34,10 @@ def store(splats: Splats) -> Gaussians:
     return held
 
 
-def pruner(held: Gaussians) -> Pruner:
+def pruner(held: Gaussians, most: int | None = None) -> Pruner:
     """One that watches `held`."""
-    return Pruner(held, Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5)))
+    backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
+    return Pruner(held, backgrounds, held.capacity if most is None else most)
 
 
 def with_hidden(count: int) -> Splats:
@@ -95,6 +97,31 @@ def test_what_a_camera_saw_stays_while_that_camera_is_away() -> None:
     for _ in range(3 * WHOLE):
         away.watch([nearest])
     assert len(held) == len(table().scales)
+
+
+def test_a_camera_that_has_left_for_good_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unseen, "AWAY_SETS", 2 * EVERY_SETS)
+    held = store(with_hidden(40))
+    watched = pruner(held)
+    watched.watch(CAMERAS)
+    for _ in range(2 * WHOLE):
+        watched.watch(CAMERAS[:2])
+    assert len(held) <= len(table().scales)
+
+
+def test_what_stands_leaves_room_for_what_moves() -> None:
+    held = store(table())
+    shown = torch.stack([blend_weights(standing(held), camera) for camera in CAMERAS]).amax(0)
+    most = len(table().scales) - 30
+    least = shown.argsort(stable=True)[:30]
+    watched = pruner(held, most)
+    for _ in range(EVERY_SETS * len(CAMERAS)):
+        assert len(held) == len(table().scales), "not before all cameras were asked"
+        watched.watch(CAMERAS)
+    assert len(held) == most and not bool(held.alive[least].any())
+    for _ in range(EVERY_SETS * len(CAMERAS)):
+        watched.watch(CAMERAS)
+    assert len(held) > most - 100, "no more of them than that"
 
 
 def test_what_was_born_within_a_round_is_not_judged_by_it() -> None:

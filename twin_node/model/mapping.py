@@ -79,14 +79,14 @@ class Mapper:
     def __init__(
         self, parameters: MapParameters, gaussians: Gaussians, backgrounds: Backgrounds, most_static: int
     ) -> None:
-        """`most_static`: STATIC Gaussians, and the arm's, beyond which it makes no new ones, so that what moves finds
-        room."""
+        """`most_static`: STATIC Gaussians, and the arm's, beyond which it makes no new ones, and those that show least
+        go, so that what moves finds room."""
         self._parameters = parameters
         self._most_static = most_static
         self._gaussians = gaussians
         self._backgrounds = backgrounds
         self._rests: dict[str, Rest] = {}
-        self._pruner = Pruner(gaussians, backgrounds)
+        self._pruner = Pruner(gaussians, backgrounds, most_static)
         self._side_thread = SideThread(stay_alone)
         self._turn = 0
 

@@ -32,9 +32,12 @@ for a moment goes too, and images miss it by 0.3 dB."""
 
 
 class Pruner:
-    """Watches the STATIC Gaussians of one model."""
+    """Watches the STATIC Gaussians of one model, and keeps them from filling the room of what moves: light that is
+    switched, and what comes to rest, leave more of them each time."""
 
-    def __init__(self, gaussians: Gaussians, backgrounds: Backgrounds) -> None:
+    def __init__(self, gaussians: Gaussians, backgrounds: Backgrounds, most: int) -> None:
+        """`most`: of STATIC Gaussians and the arm's; where there are more, those that show least go."""
+        self._most = most
         self._gaussians = gaussians
         self._backgrounds = backgrounds
         self._sets = 0
@@ -50,8 +53,10 @@ class Pruner:
         g = self._gaussians
         rows, camera = g.static_rows, cameras[index]
         gone = self._unseen.take(camera, rows, blend_weights(g.standing(g.values.index_select(0, rows)), camera))
-        if len(gone):
-            g.retire(gone)
+        g.retire(gone)
+        spare = self._unseen.least(g.static_rows, len(g.static_rows) + len(g.robot_rows) - self._most)
+        g.retire(spare)
+        if len(gone) or len(spare):
             self._backgrounds.mark()
 
 

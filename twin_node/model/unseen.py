@@ -12,12 +12,15 @@ from twin_node.model.gaussians import Gaussians
 from twin_node.model.rendering import Splats, shot_of
 from twin_node.scene import Camera
 
+AWAY_SETS = 20_000
+"""Sets after which a camera that is away has left for good: ten minutes at 30 Hz."""
+
 
 class Unseen:
     """Counts, per Gaussian of one store, the rounds in a row in which it did not show.
 
     A round looks through every camera that has ever been there, and waits for those that are away: one that fails for a
-    while must not cost what it sees.
+    while must not cost what it sees. One that has left for good is no longer waited for.
     """
 
     def __init__(self, gaussians: Gaussians, least_px: float, patience: int) -> None:
@@ -32,22 +35,39 @@ class Unseen:
         """[capacity] id that each row had when the round began, -1 for none."""
         self._rounds = torch.zeros_like(gaussians.ids)
         """[capacity] rounds in a row in which the row did not show."""
-        self._known: dict[str, None] = {}
+        self._sets = 0
+        self._known: dict[str, int] = {}
+        """Cameras, and which set they were last in."""
         self._waiting: list[str] = []
 
     def know(self, cameras: Sequence[Camera]) -> None:
         """The cameras of a set are `cameras`."""
-        self._known |= dict.fromkeys(camera.name for camera in cameras)
+        self._sets += 1
+        self._known |= dict.fromkeys((camera.name for camera in cameras), self._sets)
 
     def due(self, cameras: Sequence[Camera]) -> int | None:
         """Which of `cameras` to look through next; None: the round waits for one that is away."""
         if not self._waiting:
+            self._known = {name: seen for name, seen in self._known.items() if self._sets - seen <= AWAY_SETS}
             self._waiting = list(self._known)
             since = torch.where(self._gaussians.alive, self._gaussians.ids, -1)
             self._rounds *= since == self._since  # of who has another's row nothing has been counted
             self._since = since
             self._most.zero_()
-        return next((i for i, camera in enumerate(cameras) if camera.name in self._waiting), None)
+        due = next((i for i, camera in enumerate(cameras) if camera.name in self._waiting), None)
+        if due is None and all(self._sets - self._known[name] > AWAY_SETS for name in self._waiting):
+            self._waiting = []  # the next round does without them
+        return due
+
+    def least(self, rows: Tensor, count: int) -> Tensor:
+        """[count or fewer] those of `rows` [n] that showed least in the round that has just come to its end.
+
+        None within one, nor any that were not there when it began.
+        """
+        if self._waiting or count <= 0:
+            return rows[:0]
+        judged = rows[self._since.index_select(0, rows) == self._gaussians.ids.index_select(0, rows)]
+        return judged[self._most.index_select(0, judged).argsort(stable=True)[:count]]
 
     def take(self, camera: Camera, rows: Tensor, weights: Tensor, bodies: Tensor | None = None) -> Tensor:
         """Takes in that `camera` sees `rows` [n] with `weights` [n] px; returns the rows that have not shown for long.
