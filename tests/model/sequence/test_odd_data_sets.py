@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from data_sets import CAMERAS, FRAMES, HEIGHT, LAYOUTS, WIDTH, scene
@@ -68,6 +69,18 @@ def test_names_of_images_may_have_dots(copied: Copied) -> None:
 
     rewrite(folder / "transforms_train.json", renamed)
     assert len(read_folder(folder, ReadOptions()).train) == FRAMES
+
+
+def test_images_of_floats_are_refused(copied: Copied) -> None:
+    """Of 0 to 1, they would be learnt as black."""
+    folder = copied("dnerf")
+    assert cv2.imwrite(str(folder / "train" / "r.tiff"), np.full((HEIGHT, WIDTH, 3), 0.5, np.float32))
+    rewrite(
+        folder / "transforms_train.json",
+        lambda content: content | {"frames": [content["frames"][0] | {"file_path": "train/r.tiff"}]},
+    )
+    with pytest.raises(ModelError, match=r"r\.tiff: expected 8 or 16 bits per channel, found float32"):
+        read_folder(folder, ReadOptions())
 
 
 def change_model(folder: Path, name: str, change: Callable[[list[str]], list[str]]) -> None:

@@ -32,6 +32,8 @@ def load_image(path: Path) -> UInt8:
         raise ModelError(f"{path}: expected an image (PNG or JPEG), found {found}; complete the data set")
     if image.dtype == np.uint16:
         image = (image // 256).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise ModelError(f"{path}: expected 8 or 16 bits per channel, found {image.dtype}; convert it to PNG")
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, -1)
     order = [2, 1, 0, *range(3, image.shape[-1])]
