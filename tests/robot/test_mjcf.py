@@ -141,6 +141,21 @@ def test_a_second_arm_beside_it_is_none_of_the_arms(tmp_path: Path) -> None:
     assert placed.ends[placed.ends[..., 2] > 0.35].reshape(-1, 3)[:, 1].tolist() == [-0.5, -0.5]
 
 
+@pytest.mark.parametrize("tool", ["body", "site", "none"])
+def test_a_tool_is_where_the_file_has_its_frame(tmp_path: Path, tool: str) -> None:
+    """Most arms' last joint is a flange's length away from `tool0`, and may turn about another axis."""
+    at = 'name="tool0" pos="0 0 0.3" euler="0 90 0"'
+    inside = {"body": f"<body><body {at}/></body>", "site": f"<site {at}/>", "none": ""}[tool]
+    (tmp_path / "arm.xml").write_text(
+        f"""<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.3"/>
+        {inside}</body></worldbody></mujoco>"""
+    )
+    arm = load_arm(tmp_path / "arm.xml").carrying(np.array([[[0, 0, 0.1], [0, 0, 0.2]]]), np.array([0.02]))
+    ends = place_capsules(arm, forward_kinematics(arm, np.zeros(1))).ends[-1]
+    there = [[0, 0.1, 0], [0, 0.2, 0]] if tool == "none" else [[0.1, 0, 0.3], [0.2, 0, 0.3]]
+    np.testing.assert_allclose(ends, there, atol=1e-9)
+
+
 def test_wrong_files_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.xml"
     broken.write_text("<mujoco><worldbody>")

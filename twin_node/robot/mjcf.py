@@ -27,6 +27,8 @@ _MAX_VELOCITY = 15.0
 """rad/s, for joints of which the file gives no rating: the fastest wrists of industrial arms reach it."""
 _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
+TOOL = "tool0"
+"""Frame of tools: so ROS calls it, and many files."""
 _CAPSULES_PER_MESH = 2
 _BARE_M = 0.1
 """A link as long as this, m, has a shape."""
@@ -74,10 +76,11 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
     gripper's): those stay where the file puts them, so none may carry one of the arm's; what they move beside the arm,
     a second arm for example, is left out. Geoms that take part in no contact (visuals) are left out of a moving body
-    that has others; MuJoCo reads none from a URDF. A URDF's velocity limits are the joints' ratings; where there is
-    none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError` for a file that cannot be read (`compiled`), for
-    joints that are no chain of hinges or hang on others, and for an arm, or a long link of it, without shapes: nothing
-    would ever be near it.
+    that has others; MuJoCo reads none from a URDF. Tools are given in the file's frame `tool0`, a link or site fixed to
+    the last link, or in the last joint's (z along its axis) where there is none. A URDF's velocity limits are the
+    joints' ratings; where there is none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError` for a file that
+    cannot be read (`compiled`), for joints that are no chain of hinges or hang on others, and for an arm, or a long
+    link of it, without shapes: nothing would ever be near it.
     """
     engine = compiled(path)
     joints = _arm_joints(engine, path, joint_names)
@@ -107,6 +110,7 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
         max_velocity=_ratings(path, [engine.joint(joint).name for joint in joints]),
         max_acceleration=np.full(len(joints), _MAX_ACCELERATION),
         capsules=capsules,
+        T_last_tool=inverse_pose(frames[-1]) @ _tool(engine, data, int(bodies[-1]), frames[-1]),
     )
 
 
@@ -209,6 +213,22 @@ def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
     turn, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
     frame[:3, :3] = data.xmat[body].reshape(3, 3) @ turn.as_matrix()
     frame[:3, 3] = data.xanchor[joint]
+    return frame
+
+
+def _tool(engine: Any, data: Any, last: int, frame: Float64) -> Float64:
+    """Pose [4, 4] of the body or site `tool0` that is fixed to the last body; else `frame`, the last joint's."""
+    pose = np.eye(4)
+    for kind, rotations, places in (
+        (mujoco.mjtObj.mjOBJ_BODY, data.xmat, data.xpos),
+        (mujoco.mjtObj.mjOBJ_SITE, data.site_xmat, data.site_xpos),
+    ):
+        found = mujoco.mj_name2id(engine, kind, TOOL)
+        body = found if kind == mujoco.mjtObj.mjOBJ_BODY or found < 0 else int(engine.site_bodyid[found])
+        chain = [body, *_ancestors(engine, body)] if found >= 0 else []
+        if last in chain and not any(engine.body_jntnum[b] for b in chain[: chain.index(last)]):
+            pose[:3, :3], pose[:3, 3] = rotations[found].reshape(3, 3), places[found]
+            return pose
     return frame
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.errors import TwinError
+from twin_node.geometry import transform
 from twin_node.scene import Float64, JointSample
 
 FARTHEST_RAD = 1e6
@@ -47,7 +48,7 @@ class ArmModel:
     """A serial arm of revolute joints, standing at `base_link`.
 
     Link 0 is `base_link` itself; link j turns about the z axis of its own frame by joint j - 1. For a UR arm these are
-    the link frames of UR's ROS description, so the last link is `tool0` too.
+    the link frames of UR's ROS description, so the last link is `tool0` too; others say where that is.
     """
 
     name: str
@@ -68,6 +69,8 @@ class ArmModel:
     capsules: Capsules
     never_meet: tuple[tuple[str, str], ...] = ()
     """Pairs of links, not neighbours, that cannot touch however the joints turn, though their capsules may overlap."""
+    T_last_tool: Float64 = field(default_factory=lambda: np.eye(4))
+    """[4, 4] pose of `tool0`, the frame of tools, in that of the last link."""
 
     @property
     def joints(self) -> int:
@@ -75,8 +78,8 @@ class ArmModel:
         return len(self.joint_names)
 
     def carrying(self, ends: Float64, radii: Float64) -> ArmModel:
-        """The same with capsules on its last link: `ends` [n, 2, 3] m in its frame, `radii` [n] m."""
-        carried = Capsules(np.full(len(radii), self.joints), ends, radii)
+        """The same with capsules on its last link: `ends` [n, 2, 3] m in the frame of `tool0`, `radii` [n] m."""
+        carried = Capsules(np.full(len(radii), self.joints), transform(self.T_last_tool, ends), radii)
         return replace(self, capsules=self.capsules.joined(carried))
 
     def order(self, names: Sequence[str], values: NDArray[np.floating]) -> Float64:
