@@ -1,15 +1,18 @@
 """Depth as drivers of others record it: that of the colour image's pixels is taken, another lens's is refused."""
 
+import contextlib
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.cli import main
-from twin_node.messages import convert, message_type
+from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.messages.convert.camera import optical_frame
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -209,6 +212,34 @@ def test_what_is_neither_depth_nor_colour_is_left_out_and_told(tmp_path: Path, t
     with LogSession(path, rig_of(tmp_path / "rig.yaml")) as session:
         assert [(camera.name, camera.depth) for camera in session.cameras] == [("camera_camera", None)]
         assert session.doubts == (f"{topic} is left out: by its name neither depth nor colour, in {kind}",)
+
+
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_a_camera_whose_images_are_of_a_type_that_is_not_read_is_told(tmp_path: Path, is_alone: bool) -> None:
+    """Videos of image_transport and Foxglove: one camera fewer, and nobody said so."""
+    path = tmp_path / "log.mcap"
+    kind = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+    with path.open("wb") as file, contextlib.ExitStack() as stack:
+        writer = Writer(file)
+        writer.start("ros2", "test")
+        stack.callback(writer.finish)
+        for topic, name, definition in (
+            ("/left/image_raw/ffmpeg", kind, "uint8[] data"),
+            *([] if is_alone else [("/camera_camera/image_raw", RAW, builtin_types().definition(RAW))]),
+        ):
+            channel = writer.register_channel(
+                topic, "cdr", writer.register_schema(name, "ros2msg", definition.encode())
+            )
+            image = convert.raw_image("oak", 5, np.zeros((48, 64, 3), np.uint8))
+            data = b"\0\1\0\0\0\0\0\0" if name == kind else bytes(serialize(image))
+            writer.add_message(channel, 5, data, 5)
+    line = f"/left/image_raw/ffmpeg is left out: expected sensor_msgs/CompressedImage or Image, found {kind}"
+    if is_alone:
+        with pytest.raises(GraphError, match=re.escape(line)):
+            LogSession(path)
+        return
+    with LogSession(path, rig_of(tmp_path / "rig.yaml")) as session:
+        assert session.doubts[0].startswith(line)
 
 
 def test_depth_of_no_camera_is_named_with_what_makes_it_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,12 +9,17 @@ from dataclasses import dataclass
 from twin_node.bag import LogReader
 from twin_node.messages import MessageError
 from twin_node.nodes.renaming import Renamed
-from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, camera_of, find_cameras, path_of
+from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, camera_of, find_cameras, path_of
 
 _OF_DEPTH = ("16UC1", "32FC1")
 """Encodings of `sensor_msgs/Image` that hold depth and no colour."""
 _OF_NEITHER = re.compile(r"(?:^|[/_])(?:ir|infra|infrared|amplitude|intensity|confidence|disparity)\d*(?:[/_]|$)")
 """In the names of what drivers send in these encodings, or as mono16, besides (Azure, Kinect, Orbbec, ZED)."""
+_OF_VIDEO = ("theora_image_transport/msg/Packet", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket")
+"""Types of transports whose images need those before them."""
+_FOXGLOVES = "foxglove_msgs/msg/"
+"""Before the types that Foxglove's own libraries record."""
+_NOT_READ = (*_OF_VIDEO, *(f"{_FOXGLOVES}{name}" for name in ("CompressedVideo", "CompressedImage", "RawImage")))
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,8 @@ class LogCameras:
     found: tuple[CameraTopics, ...]
     """By name."""
     unused: tuple[str, ...]
-    """A line for each camera whose depth is left out, for want of colour images, and each topic that holds neither."""
+    """A line for each camera whose depth is left out, for want of colour images, or whose images are of a type that is
+    not read, and for each topic that holds neither."""
 
 
 def cameras_of(log: LogReader, names: Renamed) -> LogCameras:
@@ -37,11 +43,24 @@ def cameras_of(log: LogReader, names: Renamed) -> LogCameras:
     }
     spoken = {name: kind for name, kind in names.spoken.items() if name not in neither}
     measured = {name for name in spoken if encodings[name] in _OF_DEPTH or _is_unnamed_depth(name, spoken[name])}
-    found = find_cameras(spoken, str(log.path), measured)
+    videos = {name: kind for name, kind in names.spoken.items() if kind in _NOT_READ and "depth" not in name}
+    try:
+        found = find_cameras(spoken, str(log.path), measured)
+    except GraphError as error:
+        if not videos:
+            raise
+        raise GraphError(f"{log.path}: {'; '.join(_unread(name, kind) for name, kind in videos.items())}") from error
     lines = [
         f"{name} is left out: by its name neither depth nor colour, in {encodings[name]}" for name in sorted(neither)
     ]
+    shown = {camera.name for camera in found}
+    lines += [_unread(name, kind) for name, kind in videos.items() if camera_of(name) not in shown]
     return LogCameras(found, (*lines, *_unused(spoken, names, found, measured)))
+
+
+def _unread(name: str, kind: str) -> str:
+    to_do = "ros2 run image_transport republish has it as raw" if kind in _OF_VIDEO else "record it by ROS's own types"
+    return f"{name} is left out: expected sensor_msgs/CompressedImage or Image, found {kind}; {to_do}"
 
 
 def _encoding(log: LogReader, names: Renamed, name: str) -> str | None:
