@@ -207,6 +207,18 @@ def test_a_stereo_pair_of_one_frame_is_two_cameras(tmp_path: Path) -> None:
     assert places == {"pair_left": [0, 0, 0], "pair_right": [0.12, 0, 0]}
 
 
+def test_a_rig_file_of_raw_images_for_rectified_ones_is_told(tmp_path: Path) -> None:
+    """They would be undistorted once more: bent by as much as the lens did, the other way."""
+    lens = RigCamera("front", 64, 48, np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), np.eye(4))
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/front/image_rect", convert.raw_image("front", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    for D, is_told in (([-0.3, 0.1, 0, 0, 0], True), ([0.01, 0, 0, 0, 0], False)):
+        with LogSession(tmp_path / "log.mcap", Rig((replace(lens, D=np.array(D)),))) as session:
+            assert [line.partition(" by ")[0] for line in session.doubts] == [
+                "camera 'front': /front/image_rect is rectified"
+            ] * is_told
+
+
 @pytest.mark.parametrize("is_one_lens", [True, False])
 def test_two_cameras_that_name_one_frame_are_told_or_refused(tmp_path: Path, is_one_lens: bool) -> None:
     """Two drivers that were started alike: both devices were taken to stand where one does."""

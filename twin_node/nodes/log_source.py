@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
-from twin_node.messages import header_stamp
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
-from twin_node.nodes.contents import content_of
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_joints import unread_joints
+from twin_node.nodes.log_doubts import clock_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
@@ -33,10 +28,6 @@ DEFAULT_WIDTH = 160
 
 LEAST_SHARE = 0.5
 """Share of all sets in which a camera is expected to have an image."""
-ONE_PLACE_M = 1e-3
-"""So near to each other no two lenses fit, m."""
-OTHER_CLOCK_NS = 1_000_000_000
-"""No image is recorded so long after its exposure, by one clock."""
 
 
 class LogSession:
@@ -62,11 +53,10 @@ class LogSession:
                 self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
                 check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-            clocks = _clock_doubts(self.log, in_log[0], self.rig)
-            doubts = (*cameras.unused, *unread_joints(names), *place_doubts(self.rig), *clocks)
+            of_clock = clock_doubts(self.log, in_log[0], self.rig)
+            doubts = (*cameras.unused, *joint_doubts(names), *rig_doubts(in_log, self.rig), *of_clock)
             self.doubts: tuple[str, ...] = doubts
-            """What may not be meant so, a line each: depth of no camera, joints of no arm, cameras in one place, images
-            of another clock."""
+            """What may not be meant as it is taken, a line each."""
         except BaseException:
             self.log.close()
             raise
@@ -93,31 +83,6 @@ class LogSession:
 
     def __exit__(self, *_: object) -> None:
         self.log.close()
-
-
-def place_doubts(rig: Rig) -> Iterator[str]:
-    """A line for each two cameras that are taken to stand in one place."""
-    for one, other in itertools.combinations(rig.cameras, 2):
-        if np.linalg.norm(one.T_base_cam[:3, 3] - other.T_base_cam[:3, 3]) < ONE_PLACE_M:
-            yield (
-                f"cameras '{one.name}' and '{other.name}' stand in one place: where these are two devices, one is not "
-                "where it is said to be; give each a frame of its own, or a rig file"
-            )
-
-
-def _clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:
-    """A line where images were recorded long after their stamps; `camera`: one of the log's, as the log calls it."""
-    calibrated = next((one for one in rig.cameras if one.name == camera.name), None)
-    first = next(log.messages([camera.image]), None)
-    if calibrated is None or first is None:
-        return
-    old_ns = first.stamp - calibrated.rig_time(header_stamp(content_of(first, log)))
-    if old_ns > OTHER_CLOCK_NS:
-        yield (
-            f"images are stamped {old_ns / 1e9:.1f} s before they were recorded, by another clock: no arm may go by "
-            "what is so old, and each decision is to stand; record by the clock of the stamps (a simulator's: ros2 bag "
-            "record --use-sim-time)"
-        )
 
 
 class LogSource:

@@ -1,0 +1,77 @@
+"""What of a log may not be meant as it is taken: no error, for who recorded it knows."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from twin_node.bag import LogReader
+from twin_node.messages import header_stamp
+from twin_node.nodes.contents import content_of
+from twin_node.nodes.renaming import Renamed
+from twin_node.nodes.topics import JOINT_STATES, TRAJECTORY, CameraTopics, kind_of_own
+from twin_node.rig.undistort import distort
+from twin_node.scene import Rig, RigCamera
+
+ONE_PLACE_M = 1e-3
+"""So near to each other no two lenses fit, m."""
+BENT = 0.01
+"""Share of the width by which images that were rectified are not bent any more, whoever calibrated them once more."""
+OTHER_CLOCK_NS = 1_000_000_000
+"""No image is recorded so long after its exposure, by one clock."""
+
+
+def rig_doubts(cameras: Sequence[CameraTopics], rig: Rig) -> Iterator[str]:
+    """A line for each two cameras in one place, and each whose rectified images would be undistorted once more."""
+    for one, other in itertools.combinations(rig.cameras, 2):
+        if np.linalg.norm(one.T_base_cam[:3, 3] - other.T_base_cam[:3, 3]) < ONE_PLACE_M:
+            yield (
+                f"cameras '{one.name}' and '{other.name}' stand in one place: where these are two devices, one is not "
+                "where it is said to be; give each a frame of its own, or a rig file"
+            )
+    rectified = {camera.name: camera.image for camera in cameras if camera.is_rectified}
+    for camera in rig.cameras:
+        if camera.name in rectified and (bent := _bent(camera)) > BENT:
+            yield (
+                f"camera '{camera.name}': {rectified[camera.name]} is rectified by its name, and the rig's lens bends "
+                f"it by up to {bent * camera.width:.0f} pixels: it is undistorted once more; give the rig file of "
+                "rectified images, or --remap image_raw in its place"
+            )
+
+
+def _bent(camera: RigCamera) -> float:
+    """How far the lens moves a point of the image's rim, as a share of the width."""
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0, -0.5]]) * [camera.width, camera.height]
+    pixels = np.concatenate([corners, -corners]) + np.array([camera.width - 1, camera.height - 1]) / 2
+    focal, middle = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
+    moved = distort(camera, (pixels - middle) / focal) - pixels
+    return float(np.linalg.norm(moved, axis=1).max()) / camera.width
+
+
+def joint_doubts(names: Renamed) -> Iterator[str]:
+    """A line where joints are told, none of them on the arm's topics, and a made-up arm would take their place."""
+    kind = kind_of_own(JOINT_STATES).msgtype
+    told = sorted(name for name, msgtype in names.spoken.items() if msgtype == kind)
+    if told and JOINT_STATES not in told and TRAJECTORY not in names.spoken:
+        are = f"{', '.join(told)}, where joints are told, {'are' if len(told) > 1 else 'is'} not read"
+        yield (
+            f"{are}: an arm is made up, and the one in the images counts as something that moves; if these are the "
+            f"arm's, --remap {told[0]}:={JOINT_STATES}"
+        )
+
+
+def clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:
+    """A line where images were recorded long after their stamps; `camera`: one of the log's, as the log calls it."""
+    calibrated = next((one for one in rig.cameras if one.name == camera.name), None)
+    first = next(log.messages([camera.image]), None)
+    if calibrated is None or first is None:
+        return
+    old_ns = first.stamp - calibrated.rig_time(header_stamp(content_of(first, log)))
+    if old_ns > OTHER_CLOCK_NS:
+        yield (
+            f"images are stamped {old_ns / 1e9:.1f} s before they were recorded, by another clock: no arm may go by "
+            "what is so old, and each decision is to stand; record by the clock of the stamps (a simulator's: ros2 bag "
+            "record --use-sim-time)"
+        )
