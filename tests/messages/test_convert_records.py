@@ -270,6 +270,13 @@ def test_what_a_joint_does_not_tell_is_nan() -> None:
     assert not c.has_velocities(replace(message, velocity=np.zeros(0)), ("arm",))
 
 
+def test_a_message_may_tell_no_positions() -> None:
+    """A belt's speed, a gripper's force, on the topic of the arm: a replay ended at the first of them."""
+    message = c.joint_sample_to_message(JointSample(STAMP, ("belt",), np.zeros(1), np.ones(1)))
+    found = c.joint_sample_from_message(replace(message, position=np.zeros(0)))
+    assert_same(found, JointSample(STAMP, (), np.zeros(0), np.zeros(0)))
+
+
 def path() -> JointPath:
     stamps = STAMP + np.array([0, 40_000_000, 1_500_000_000], dtype=np.int64)
     return JointPath(("a", "b"), stamps, np.arange(6.0).reshape(3, 2))

@@ -123,7 +123,7 @@ class SynchronizerNode(Node):
 
     def _on_joints(self, message: Message) -> None:
         sample = convert.joint_sample_from_message(message)
-        if self._joint_names.issubset(sample.names):
+        if sample.names and self._joint_names.issubset(sample.names):
             self._assembler.add_joints(sample)
 
     def _on_colour(self, name: str, message: Message) -> None:

@@ -27,11 +27,13 @@ def joint_sample_from_message(message: Message) -> JointSample:
     """Sample from a `sensor_msgs/msg/JointState`; velocities are 0 where the message has none, see `has_velocities`.
 
     NaN is what ros2_control's joint_state_broadcaster has for what a joint does not tell: joints with such positions
-    are left out. Raises `MessageError` where names and positions differ in number, no joint is left, or a value is
-    infinite.
+    are left out, and all of a message without positions (a belt's speed, a gripper's force). Raises `MessageError`
+    where names and positions differ in number, no joint's position is a number, or a value is infinite.
     """
     names = tuple(message.name)
     positions = np.array(message.position, dtype=np.float64)
+    if not len(positions):
+        return JointSample(header_stamp(message), (), np.zeros(0), np.zeros(0))
     velocities = np.array(message.velocity, dtype=np.float64) if len(message.velocity) else np.zeros(len(names))
     if not len(names) == len(positions) == len(velocities):
         raise MessageError(
@@ -39,7 +41,7 @@ def joint_sample_from_message(message: Message) -> JointSample:
             f"{len(velocities)} velocities; expected as many of each"
         )
     told = ~np.isnan(positions)
-    if np.isinf(positions).any() or np.isinf(velocities).any() or not (told.any() or not names):
+    if np.isinf(positions).any() or np.isinf(velocities).any() or not told.any():
         raise MessageError(f"JointState at {header_stamp(message)} ns: a position or velocity is not finite")
     return JointSample(
         stamp=header_stamp(message),
