@@ -23,6 +23,9 @@ from twin_node.bag.sqlite_storage import SqliteStorage
 from twin_node.messages import MessageTypes, builtin_types
 from twin_node.yaml_file import YAML_ERRORS, parse_yaml, yaml_reason
 
+ROS1_MAGIC = b"#ROSBAG V"
+"""What a bag of ROS 1 begins with."""
+
 
 class LogReader:
     """A log, opened for reading; close it, or use it as a context manager.
@@ -371,5 +374,9 @@ def _open_file(path: Path) -> Storage:
         return McapStorage(path)
     if head == sqlite_storage.MAGIC:
         return SqliteStorage(path)
+    if head.startswith(ROS1_MAGIC):
+        raise BagError(
+            f"{path}: expected a log of ROS 2, found a bag of ROS 1; convert it: rosbags-convert --src {path} --dst OUT"
+        )
     found = f"a file that begins with {head[:8]!r}" if head else "an empty file"
     raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
