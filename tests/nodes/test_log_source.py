@@ -113,6 +113,25 @@ def test_joints_that_nobody_would_read_are_told(tmp_path: Path) -> None:
                 assert any("an arm is made up" in line for line in check_log(read).faults) == is_told
 
 
+@pytest.mark.parametrize(("height_m", "is_told"), [(0.6, True), (0.0, False)])
+def test_an_arm_whose_base_is_not_base_link_is_told(tmp_path: Path, height_m: float, is_told: bool) -> None:
+    """On a cart whose base_link that is: cameras were placed on the cart, and the arm on its floor."""
+    names = tuple(f"ur_{name}" for name in ur_model("ur5e").joint_names)
+    base = np.eye(4)
+    base[2, 3] = height_m
+    transforms = {"/tf_static": [("base_link", "optical", np.eye(4)), ("base_link", "ur_base_link", base)]}
+    path = log_with_frames(tmp_path / "log.mcap", "optical", transforms)
+    with open_log(path) as read, LogWriter(tmp_path / "joints.mcap") as log:
+        for one in read.messages():
+            log.write_raw(one.topic, one.msgtype, one.data, one.stamp)
+        log.write("/joint_states", convert.joint_sample_to_message(JointSample(5, names, np.zeros(6), np.zeros(6))), 5)
+    with LogSession(tmp_path / "joints.mcap") as session:
+        lines = [line for line in session.doubts if "is ur_base_link, 0.60 m from base_link" in line]
+        assert lines == list(session.doubts) and bool(lines) == is_told
+    with open_log(tmp_path / "joints.mcap") as read:
+        assert set(lines) <= set(check_log(read).faults)
+
+
 def test_a_recording_is_no_wider_than_its_images(cell_log: Callable[..., Path]) -> None:
     """To learn of pixels that were made up between two takes four times as long and shows no more."""
     with LogSession(cell_log(0.3)) as session:

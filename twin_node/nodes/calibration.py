@@ -109,7 +109,7 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str 
     first = _first_messages(log, {topic for topics in told for topic in topics if topic and topic in log.spoken})
     frames = {camera: (_frame(first.get(camera.image)), _frame(first.get(camera.depth))) for camera in measured}
     are_apart = any(colour != depth for colour, depth in frames.values())
-    tree = _static_transforms(log, tf_static) if are_apart else TransformTree()
+    tree = static_transforms(log, tf_static) if are_apart else TransformTree()
     for camera, (of_colour, of_depth) in frames.items():
         why = _other_pinhole(camera, first.get(camera.info), first.get(camera.depth_info))
         if why is None and of_colour != of_depth and not camera.is_depth_aligned:
@@ -170,7 +170,8 @@ def _frame(message: Any) -> str:
     return "" if message is None else str(message.header.frame_id).lstrip("/")
 
 
-def _static_transforms(log: LogReader, tf_static: str) -> TransformTree:
+def static_transforms(log: LogReader, tf_static: str) -> TransformTree:
+    """All that a log says to stand; raises `GraphError` for a message that is damaged."""
     tree = TransformTree()
     for message in log.messages([tf_static]):
         tree.add(content_of(message, log))

@@ -14,7 +14,7 @@ from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import joint_doubts, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import renamed
@@ -212,7 +212,7 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     known = {camera.name: camera for camera in rig.cameras}
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
     faults = [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig), *faults]
-    return [*rig_doubts(cameras, rig), *(faults or _first_set_faults(log))]
+    return [*rig_doubts(cameras, rig), *base_doubts(log, names), *(faults or _first_set_faults(log))]
 
 
 def _first_set_faults(log: LogReader) -> list[str]:

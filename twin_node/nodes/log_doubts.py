@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from twin_node.bag import LogReader
-from twin_node.messages import header_stamp
+from twin_node.messages import MessageError, header_stamp
+from twin_node.messages.convert import BASE_FRAME
+from twin_node.nodes.calibration import static_transforms
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.renaming import Renamed
-from twin_node.nodes.topics import JOINT_STATES, TRAJECTORY, CameraTopics, kind_of_own
+from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics, kind_of_own
 from twin_node.rig.undistort import distort
+from twin_node.robot.ur import JOINT_NAMES
 from twin_node.scene import Rig, RigCamera
 
 ONE_PLACE_M = 1e-3
 """So near to each other no two lenses fit, m."""
 BENT = 0.01
 """Share of the width by which images that were rectified are not bent any more, whoever calibrated them once more."""
+LOOKED_AT = 50
+"""Messages that tell which joints there are: of some devices on one topic, each at a rate of its own."""
+ONE_BASE = 1e-3
+"""By so much, m and rad, two frames of one base may differ."""
 OTHER_CLOCK_NS = 1_000_000_000
 """No image is recorded so long after its exposure, by one clock."""
 
@@ -60,6 +68,30 @@ def joint_doubts(names: Renamed) -> Iterator[str]:
             f"{are}: an arm is made up, and the one in the images counts as something that moves; if these are the "
             f"arm's, --remap {told[0]}:={JOINT_STATES}"
         )
+
+
+def base_doubts(log: LogReader, names: Renamed) -> Iterator[str]:
+    """A line for each arm that has a base of its own, which is not where `base_link` is: on a cart, or one of two.
+
+    By a prefix of its driver's before the names of its joints, as UR's are called, and of that frame.
+    """
+    topic = names.original(JOINT_STATES)
+    told = {
+        name for entry in itertools.islice(log.messages([topic]), LOOKED_AT) for name in content_of(entry, log).name
+    }
+    prefixes = sorted(name.removesuffix(JOINT_NAMES[0]) for name in told if name.endswith(JOINT_NAMES[0]))
+    if not any(prefixes):
+        return
+    tree = static_transforms(log, names.original(TF_STATIC))
+    for prefix in filter(None, prefixes):
+        with contextlib.suppress(MessageError):  # no transforms join them: there is but one base
+            T = tree.lookup(f"{prefix}{BASE_FRAME}")
+            if not np.allclose(T, np.eye(4), atol=ONE_BASE):
+                yield (
+                    f"the base of the arm of {prefix}{JOINT_NAMES[0]} is {prefix}{BASE_FRAME}, "
+                    f"{np.linalg.norm(T[:3, 3]):.2f} m from {BASE_FRAME}, where the twin takes an arm to stand: give "
+                    f"--rig RIG.yaml with the cameras' poses in {prefix}{BASE_FRAME}"
+                )
 
 
 def clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:

@@ -12,7 +12,7 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import clock_doubts, joint_doubts, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, clock_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
@@ -54,7 +54,8 @@ class LogSession:
                 check_depth(self.log, in_log, names.original(TF_STATIC))
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
             of_clock = clock_doubts(self.log, in_log[0], self.rig)
-            doubts = (*cameras.unused, *joint_doubts(names), *rig_doubts(in_log, self.rig), *of_clock)
+            of_base = base_doubts(self.log, names) if rig_file is None else ()
+            doubts = (*cameras.unused, *joint_doubts(names), *rig_doubts(in_log, self.rig), *of_base, *of_clock)
             self.doubts: tuple[str, ...] = doubts
             """What may not be meant as it is taken, a line each."""
         except BaseException:
