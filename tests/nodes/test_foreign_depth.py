@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,6 +132,29 @@ def test_a_check_of_the_log_names_it(tmp_path: Path) -> None:
         with open_log(foreign_log(tmp_path / f"{fx}.mcap", fx)) as log:
             check = check_log(log)
         assert len([fault for fault in check.faults if "depth aligned with its colour image" in fault]) == others
+
+
+@pytest.mark.parametrize(("late_ms", "is_told"), [(14, True), (3, False)])
+def test_depth_that_belongs_to_no_image_is_told(tmp_path: Path, late_ms: int, is_told: bool) -> None:
+    """Of a device whose two sensors keep no time with each other all depth was left out, and check found it sound."""
+    lens = RigCamera("oak", 64, 48, np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]), np.eye(4))
+    with LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((lens,)), 5), 5)
+        for at in range(0, 400_000_000, 40_000_000):
+            image, depth = np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.float32)
+            log.write("/oak/camera_info", convert.camera_info(lens, at), at)
+            log.write("/oak/image_raw", convert.raw_image("oak", at, image), at)
+            late = at + late_ms * 1_000_000
+            log.write("/oak/depth/image_rect", convert.depth_image("oak", late, depth), late)
+    with open_log(tmp_path / "log.mcap") as log_read:
+        told = [line for line in check_log(log_read).faults if "is stamped 14.0 ms from the images" in line]
+    assert bool(told) == is_told
+    with LogSession(tmp_path / "log.mcap") as session, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        list(LogSource(session, SynchronizerParameters()))
+    assert [str(one.message).partition(" images:")[0] for one in caught] == [
+        "camera oak: depth with only 0 of its 10"
+    ] * is_told
 
 
 BENT, STRAIGHT = (-0.3, 0.1, 0.0, 0.0, 0.0), (0.0,) * 5

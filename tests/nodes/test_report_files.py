@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,10 +21,11 @@ from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
 from twin_node.nodes.report.page import ReportError, _lead, _write
 from twin_node.nodes.report.quality import Quality
+from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import FrameSet, RigCamera, Separation
+from twin_node.scene import FrameSet, Separation
 
 
 def short_run() -> Run:
@@ -37,10 +39,9 @@ def short_run() -> Run:
 
 def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
     """Of a log in which one camera has another clock than the others all sets were made of it alone, in silence."""
-    run = short_run()
-    run.collector.arrived, run.collector.images = 10, {"a": 10, "b": 2}
-    lines = run.missed([RigCamera(name, 4, 3, np.eye(3), np.eye(4)) for name in "abc"])
-    assert [line.split(": its")[0] for line in lines] == [
+    held = SetContents()
+    held.sets, held.images = 10, Counter(a=10, b=2)
+    assert [line.split(": its")[0] for line in held.lacking("abc", ())] == [
         "camera b: in only 2 of 10 sets",
         "camera c: in only 0 of 10 sets",
     ]

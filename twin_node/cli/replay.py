@@ -121,7 +121,7 @@ def _run(
             if run.damage:
                 print(f"twin_node: warning: {run.damage}", file=sys.stderr)
             strayed = run.collector.drift[-1].warnings if run.collector.drift else ()
-            for warning in (*run.missed(session.rig.cameras), *strayed):
+            for warning in (*run.missed(session), *strayed):
                 print(f"twin_node: warning: {warning}", file=sys.stderr)
             told = f"{run.sets} sets ({run.followed} followed by the model), {run.dropped} dropped"
             print(f"{session.log.path}: {told}, in {run.seconds:.1f} s")

@@ -10,6 +10,7 @@ import numpy as np
 from twin_node.forecast import ForecastQuality
 from twin_node.messages import Message, convert
 from twin_node.nodes.forecast import Forecast
+from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEEN, SEPARATION, STATE, TRUSTED_FRAMES
 from twin_node.rig.drift_report import DriftReport
@@ -27,10 +28,8 @@ class CollectorNode(Node):
         super().__init__("collector", bus, clock)
         self.stamps: list[int] = []
         """Of every set that went through the chain, ns."""
-        self.arrived = 0
-        """Sets that came to the chain."""
-        self.images: dict[str, int] = {}
-        """Camera -> number of these that it had an image in."""
+        self.arrived = SetContents()
+        """Of the sets that came to the chain."""
         self.latencies_ms: list[float] = []
         """From the newest image's stamp to the speed decision, by the run's clock, in real time."""
         self.work_ms: list[float] = []
@@ -80,9 +79,7 @@ class CollectorNode(Node):
             self._spool.add(Tick(replace(frames, views=views)))
 
     def _on_arrival(self, frames: FrameSet) -> None:
-        self.arrived += 1
-        for view in frames.views:
-            self.images[view.camera.name] = self.images.get(view.camera.name, 0) + 1
+        self.arrived.add(frames)
         self._begun = time.perf_counter()
 
     def _on_frames(self, frames: FrameSet) -> None:

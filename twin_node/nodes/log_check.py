@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.bag import LogMessage, LogReader
 from twin_node.errors import TwinError
@@ -211,7 +212,12 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
     known = {camera.name: camera for camera in rig.cameras}
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
-    faults = [*_image_faults(cameras, seen, known), *_skew_faults(cameras, by_rig), *faults]
+    faults = [
+        *_image_faults(cameras, seen, known),
+        *_skew_faults(cameras, by_rig),
+        *_depth_skews(cameras, seen),
+        *faults,
+    ]
     return [*rig_doubts(cameras, rig), *base_doubts(log, names), *(faults or _first_set_faults(log))]
 
 
@@ -257,6 +263,30 @@ def _image_fault(content: Any, calibrated: RigCamera | None) -> str | None:
     )
 
 
+def _depth_skews(cameras: Sequence[CameraTopics], seen: Mapping[str, _Seen]) -> Iterator[str]:
+    """Cameras whose depth is stamped so far from their images that it is taken for that of no image."""
+    tolerance_ns = SynchronizerParameters().depth_tolerance_ms * 1e6
+    for camera in cameras:
+        of_depth = seen[camera.depth].busiest.stamps if camera.depth else []
+        images, depths = (np.array(stamps, np.int64) for stamps in (seen[camera.image].busiest.stamps, of_depth))
+        if len(images) < 2 or len(depths) < 2:
+            continue
+        skew = float(np.median(_to_nearest(depths, images)))
+        if skew > tolerance_ns:
+            yield (
+                f"camera '{camera.name}': {camera.depth} is stamped {skew / 1e6:.1f} ms from the images, more than "
+                f"{tolerance_ns / 1e6:g}, and would be left out; let the driver synchronise them, or raise "
+                "synchronizer.depth_tolerance_ms"
+            )
+
+
+def _to_nearest(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How far [N] stamps [N] are from the nearest of two or more others, ns."""
+    right = np.clip(np.searchsorted(others, stamps), 1, len(others) - 1)
+    gaps: NDArray[np.int64] = np.minimum(np.abs(others[right] - stamps), np.abs(others[right - 1] - stamps))
+    return gaps
+
+
 def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
     """Cameras whose images lie too far from those of the first one while both send; `stamps` by topic, ns."""
     first = np.array(stamps[cameras[0].image], dtype=np.int64)
@@ -269,8 +299,7 @@ def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[
         together = first[(first > own[0] - period) & (first < own[-1] + period)]
         if not len(together):
             continue
-        right = np.clip(np.searchsorted(own, together), 1, len(own) - 1)
-        skew = np.minimum(np.abs(own[right] - together), np.abs(own[right - 1] - together))
+        skew = _to_nearest(together, own)
         if float(np.median(skew)) > SKEW_SHARE * period:
             faults.append(
                 f"camera '{camera.name}': images lie {np.median(skew) / 1e6:.1f} ms from those of "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,19 +14,16 @@ from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import base_doubts, clock_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
+from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
 from twin_node.rig import workspace_of
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import Camera, Float64, FrameSet, Rig, RigCamera
+from twin_node.scene import Camera, Float64, FrameSet, Rig
 
 DEFAULT_WIDTH = 160
 """Working width in pixels at which the twin keeps camera rate on two CPU cores."""
-
-
-LEAST_SHARE = 0.5
-"""Share of all sets in which a camera is expected to have an image."""
 
 
 class LogSession:
@@ -111,23 +107,22 @@ class LogSource:
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, from the beginning of the session's span.
 
-        Warns, with a `TwinWarning`, where damage has ended them, and of a camera that most of them lack: what is made
-        of them is made of a part.
+        Warns, with a `TwinWarning`, where damage has ended them, and of a camera that most of them lack, or its depth:
+        what is made of them is made of a part.
         """
-        sets, images = 0, Counter[str]()
+        held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
         self._synchronizer(bus, clock).configure()
         ready: list[FrameSet] = []
         bus.subscribe(FRAMES, ready.append)
         for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             for frames in ready:
-                sets += 1
-                images.update(view.camera.name for view in frames.views)
+                held.add(frames)
                 yield frames
             ready.clear()
         if self._session.log.damage is not None:
             warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
-        for line in lacking(self._cameras, images, sets):
+        for line in held.lacking([camera.name for camera in self._cameras], self._session.cameras):
             warnings.warn(line, TwinWarning, stacklevel=2)
 
     def _synchronizer(self, bus: LocalBus, clock: SteppedClock) -> SynchronizerNode:
@@ -135,16 +130,6 @@ class LogSource:
         return SynchronizerNode(
             bus, clock, session.cameras, session.rig, self._parameters, joint_names=self._joint_names
         )
-
-
-def lacking(cameras: Sequence[Camera | RigCamera], images: Mapping[str, int], sets: int) -> tuple[str, ...]:
-    """A line for each of the cameras that most of so many sets had to do without; `images`: in them, by camera."""
-    return tuple(
-        f"camera {camera.name}: in only {images.get(camera.name, 0)} of {sets} sets: its images' stamps lie too far "
-        "from the others', or it sends more slowly; see their times with 'twin_node check'"
-        for camera in cameras
-        if images.get(camera.name, 0) < LEAST_SHARE * sets
-    )
 
 
 def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:

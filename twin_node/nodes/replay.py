@@ -18,7 +18,7 @@ from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
-from twin_node.nodes.log_source import LogSession, LogSource, lacking, workspace_for
+from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.model import Following
 from twin_node.nodes.player import Player
 from twin_node.nodes.reading import Finished, Order, Reading, play
@@ -32,7 +32,7 @@ from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.runtime.memory import peak_mb
 from twin_node.runtime.node import Node
 from twin_node.runtime.worker_process import EndedError
-from twin_node.scene import Camera, FrameSet, RigCamera
+from twin_node.scene import Camera, FrameSet
 
 Progress = Callable[[float], None]
 """Called with the seconds of log time that have been played."""
@@ -72,9 +72,9 @@ class Run:
         """Whether every set went through in turn, however long it took."""
         return self.rate is None
 
-    def missed(self, cameras: Sequence[RigCamera]) -> tuple[str, ...]:
-        """A line for each of the log's cameras that most sets had to do without."""
-        return lacking(cameras, self.collector.images, self.collector.arrived)
+    def missed(self, session: LogSession) -> tuple[str, ...]:
+        """A line for each of the log's cameras that most sets had to do without, or its images without their depth."""
+        return self.collector.arrived.lacking([camera.name for camera in session.rig.cameras], session.cameras)
 
 
 @contextlib.contextmanager
