@@ -134,6 +134,21 @@ def test_a_check_of_the_log_names_it(tmp_path: Path) -> None:
         assert len([fault for fault in check.faults if "depth aligned with its colour image" in fault]) == others
 
 
+def test_a_calibration_is_found_beside_what_was_renamed(tmp_path: Path) -> None:
+    """Of images and depth that alone get another name: depth lost its lens, and images had no calibration."""
+    foreign_log(tmp_path / "alone.mcap", 63.0)
+    place = RigCamera("camera_camera", 64, 48, np.eye(3), np.eye(4))
+    with open_log(tmp_path / "alone.mcap") as read, LogWriter(tmp_path / "log.mcap") as log:
+        log.write("/tf_static", convert.tf_static(Rig((place,)), 5), 5)
+        for one in read.messages():
+            log.write_raw(one.topic, one.msgtype, one.data, one.stamp)
+    remaps = {f"{COLOUR}/image_raw": "/left/image_raw", f"{DEPTH}/image_rect_raw": "/left/depth/image_rect"}
+    with LogSession(tmp_path / "log.mcap", remaps=remaps) as session:
+        [camera] = session.rig.cameras
+    assert camera.name == "left" and camera.depth_lens is not None
+    assert (camera.K[0, 0], camera.depth_lens.K[0, 0]) == (64, 63)
+
+
 @pytest.mark.parametrize(("late_ms", "is_told"), [(14, True), (3, False)])
 def test_depth_that_belongs_to_no_image_is_told(tmp_path: Path, late_ms: int, is_told: bool) -> None:
     """Of a device whose two sensors keep no time with each other all depth was left out, and check found it sound."""

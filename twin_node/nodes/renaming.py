@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from twin_node.bag import LogReader
-from twin_node.nodes.topics import CameraTopics, GraphError, absolute, is_aligned_depth, is_rectified
+from twin_node.nodes.topics import (
+    CAMERA_INFO,
+    CameraTopics,
+    GraphError,
+    absolute,
+    info_beside,
+    is_aligned_depth,
+    is_rectified,
+)
 
 
 @dataclass(frozen=True)
@@ -28,15 +36,23 @@ class Renamed:
         """The camera's topics as the log calls them; either name may say of images and depth what they are."""
         image = self.original(camera.image)
         depth = None if camera.depth is None else self.original(camera.depth)
+        info = camera.info if camera.info in self.types else self._info_beside(image) or camera.info
+        depth_info = camera.depth_info or (None if depth is None else self._info_beside(depth))
         return replace(
             camera,
             image=image,
             is_rectified=camera.is_rectified or is_rectified(image),
-            info=self.original(camera.info),
+            info=self.original(info),
             depth=depth,
             is_depth_aligned=camera.is_depth_aligned or is_aligned_depth(depth or ""),
-            depth_info=None if camera.depth_info is None else self.original(camera.depth_info),
+            depth_info=None if depth_info in (None, info) else self.original(depth_info),
         )
+
+    def _info_beside(self, original: str) -> str | None:
+        """The new name of the CameraInfo beside a topic as the log calls it; None where there is none."""
+        beside = absolute(info_beside(original))
+        name = next((name for name, own in self.originals.items() if absolute(own) == beside), None)
+        return name if name is not None and self.types[name] == CAMERA_INFO else None
 
 
 def renamed(log: LogReader, remaps: Mapping[str, str] | None = None) -> Renamed:

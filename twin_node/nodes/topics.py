@@ -264,7 +264,7 @@ def is_rectified(image: str) -> bool:
 
 
 def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
-    beside = _info_beside(image)
+    beside = info_beside(image)
     candidates = [beside, *sorted(t for t in types if types[t] == CAMERA_INFO and camera_of(t) == name)]
     return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
 
@@ -273,11 +273,12 @@ def _depth_info_topic(depth: str | None, info: str, types: Mapping[str, str]) ->
     """Beside a depth topic; `info`: the colour image's own."""
     if depth is None:
         return None
-    beside = _info_beside(depth)
+    beside = info_beside(depth)
     return beside if beside != info and types.get(beside) == CAMERA_INFO else None
 
 
-def _info_beside(image: str) -> str:
+def info_beside(image: str) -> str:
+    """Where the CameraInfo of a topic of images is by ROS naming."""
     return re.sub("/compressed(Depth)?$", "", image).rpartition("/")[0] + "/camera_info"
 
 
