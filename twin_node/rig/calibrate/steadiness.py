@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import BundleResult
 from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
-from twin_node.rig.calibrate.lenses import rays_of
+from twin_node.rig.calibrate.lenses import Lens, project, rays_of
 from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, Witnesses
 from twin_node.rig.errors import RigError
-from twin_node.scene import Bool
+from twin_node.scene import Bool, Float64
 
 SHARES = 0.06, 0.5, 0.94
 """Of a camera's images, after which the others are taken for another one's: where it was moved shortly after the start
@@ -99,25 +101,43 @@ def _elsewhere(bundle: BundleResult, camera: int) -> int:
     state, lens = bundle.state, bundle.state.lenses[camera]
     times = state.rig_times(np.full(len(lost), camera), np.array([sighting.time_s for sighting in lost]))
     placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in lost]), times))
-    corners = [
-        state.points[sighting.corners.ids] @ R.T + p
-        for sighting, R, p in zip(lost, placed.rotations, placed.positions, strict=True)
-    ]
-    rays = rays_of(lens, np.concatenate([sighting.corners.pixels for sighting in lost]))
-    tolerance = ELSEWHERE_SIGMAS * bundle.noise_px[camera] / lens.K[0, 0]
-    found, *_, inliers = cv2.solvePnPRansac(
-        np.concatenate(corners),
-        rays[:, None],
+    corners = np.concatenate(
+        [
+            state.points[sighting.corners.ids] @ R.T + p
+            for sighting, R, p in zip(lost, placed.rotations, placed.positions, strict=True)
+        ]
+    )
+    pixels = np.concatenate([sighting.corners.pixels for sighting in lost])
+    tolerance_px = ELSEWHERE_SIGMAS * bundle.noise_px[camera]
+    here = state.T_cam_rig[camera]
+    there = _place_of_most(lens, corners, pixels, tolerance_px)
+    if there is None:
+        return 0
+    shift_m = np.linalg.norm(inverse_pose(there)[:3, 3] - inverse_pose(here)[:3, 3])
+    turn_rad = Rotation.from_matrix(there[:3, :3] @ here[:3, :3].T).magnitude()
+    if shift_m < MOVED_M and turn_rad < MOVED_RAD:
+        return 0
+    ends = np.cumsum([len(sighting.corners) for sighting in lost])[:-1]
+    fits_here, fits_there = (
+        np.array([image.mean() > LEAST_SHARE for image in np.split(off < tolerance_px, ends)])
+        for off in (np.linalg.norm(project(lens, transform(T, corners)).pixels - pixels, axis=1) for T in (here, there))
+    )
+    agreeing = int((fits_there & ~fits_here).sum())
+    return agreeing if agreeing >= ELSEWHERE_IMAGES else 0
+
+
+def _place_of_most(lens: Lens, points: Float64, pixels: Float64, tolerance_px: float) -> Float64 | None:
+    """[4, 4] from where a camera sees most of the points [N, 3] (m) at pixels [N, 2] (RANSAC); None: from nowhere."""
+    found, rotation, translation, _ = cv2.solvePnPRansac(
+        points,
+        rays_of(lens, pixels)[:, None],
         np.eye(3),
         np.zeros(4),
-        reprojectionError=tolerance,
+        reprojectionError=tolerance_px / lens.K[0, 0],
         iterationsCount=DRAWS,
         flags=cv2.SOLVEPNP_SQPNP,
     )
-    if not found or inliers is None:
-        return 0
-    fits = np.zeros(len(rays), dtype=bool)
-    fits[np.ravel(inliers)] = True
-    own = np.split(fits, np.cumsum([len(sighting.corners) for sighting in lost])[:-1])
-    agreeing = sum(bool(image.mean() > LEAST_SHARE) for image in own)
-    return agreeing if agreeing >= ELSEWHERE_IMAGES else 0
+    if not found:
+        return None
+    turn = Rotation.from_rotvec(np.asarray(rotation, np.float64).ravel()).as_matrix()
+    return pose(turn, np.asarray(translation, np.float64).ravel())
