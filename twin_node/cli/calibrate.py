@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -209,6 +210,7 @@ def _written_by_hand(path: Path) -> list[str]:
 
 
 def _rig_figures(solution: RigSolution) -> dict[str, object]:
+    from twin_node.rig.calibrate.board_shape import board_shape
     from twin_node.rig.calibrate.results import (
         agreement_sigmas,
         camera_poses,
@@ -221,7 +223,7 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
 
     all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
     poses, sigmas, clocks = camera_poses(state), agreement_sigmas(solution), clock_sigmas(solution)
-    readouts = readout_sigmas(solution)
+    readouts, shape = readout_sigmas(solution), board_shape(solution.board.points, state.points)
     cameras = {}
     for i, name in enumerate(solution.names):
         own = residuals_of(camera_residuals(solution, i))
@@ -252,11 +254,13 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
         "corners": sum(len(sighting.corners) for sighting in solution.bundle.sightings),
         "dropped": {view.name: view.reason for view in solution.dropped},
         "unconnected": list(solution.unconnected),
+        "board_shape": asdict(shape) | {"size_sigma": shape.size_sigma},
         "cameras": cameras,
     }
 
 
 def _show_rig(solution: RigSolution, output: Path) -> None:
+    from twin_node.rig.calibrate.board_shape import board_shape
     from twin_node.rig.calibrate.results import (
         CERTAIN_SIGMAS,
         agreement_sigmas,
@@ -269,6 +273,7 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
 
     figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
     clocks, readouts = clock_sigmas(solution), readout_sigmas(solution)
+    shape = board_shape(solution.board.points, state.points)
     print(
         f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
         f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
@@ -286,6 +291,11 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
             shutter += f", stamps off by {1e3 * jitter:.1f} ms one by one"
         figures_px = f"median {own.median_px:.3f} px, rms {own.rms_px:.3f} px"
         print(f"  {name}: {figures_px}, sigma {1e3 * sigma:.2f} mm{clock}{shutter}")
+    if solution.bundle.layout.shape:
+        print(
+            f"  board: corners {1e3 * shape.off_m:.2f} mm off the flat print stated, stretched by "
+            f"{100 * shape.stretch:.2f} %: the size of all is open by {100 * shape.size_sigma:.2f} % of itself"
+        )
     _show_dropped(solution.dropped)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
@@ -59,13 +60,21 @@ class BundleState:
         return np.asarray(times + offset + rate * (times - self.reference_s))
 
 
+class BoardFreedom(Enum):
+    """What shape the board may have."""
+
+    FLAT = "as stated"
+    STRETCHED = "stretched along some direction"
+    BENT = "every corner somewhere else"
+
+
 @dataclass(frozen=True)
 class BundleOptions:
     """What is free."""
 
     lenses: bool = True
     """Focal lengths, principal points and distortion."""
-    board: bool = False
+    board: BoardFreedom = BoardFreedom.FLAT
     """The places of the board's corners, held by how far off boards are."""
     clocks: bool = True
     """Clock offsets and rates, where the board moves."""
@@ -84,8 +93,8 @@ class Layout:
     """Parameters of each lens; empty where lenses are fixed."""
     clocks: bool
     readouts: bool
-    points: int
-    """Corners of the board that are free, 0 where it is fixed."""
+    shape: int
+    """Numbers of the board's shape that are free, 0 where it is fixed."""
 
     def camera(self, i: int) -> slice:
         """Pose of camera i: turn about its own axes (rad), translation (m), as in `moved`; empty for the first."""
@@ -107,15 +116,15 @@ class Layout:
         return slice(start, start + self.readouts)
 
     @property
-    def corners(self) -> slice:
-        """All of the board's corners."""
+    def board(self) -> slice:
+        """The board's shape: its stretch along x and against y, its shear (shares); or all of its corners (m)."""
         start = self.readout(self.cameras - 1).stop
-        return slice(start, start + 3 * self.points)
+        return slice(start, start + self.shape)
 
     @property
     def size(self) -> int:
         """Number of these unknowns."""
-        return int(self.corners.stop)
+        return int(self.board.stop)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ class Delays:
 
     by_image: Float64
     """[V, n] products of what a delay changes with all that the images' slopes has, the residuals last."""
-    by_corner: Float64
-    """[V, 3 P] the same with the board's corners, [V, 0] where these are fixed."""
+    by_board: Float64
+    """[V, n] the same with the board's shape, [V, 0] where that is fixed."""
     told: Float64
     """[V] inverse variance of a delay, all else being known, 1/s^2."""
 
@@ -45,15 +45,15 @@ class Late:
     """[n] columns of the camera's pose, clock, lens and readout, as in `Layout`; `NOWHERE` for what is fixed."""
     by_outer: Float64
     """[V, n]."""
-    corners: NDArray[np.int64]
-    """Columns of the board's corners; none where they are fixed."""
+    board: NDArray[np.int64]
+    """Columns of the board's shape; none where it is fixed."""
     delays: Delays
 
     def changes(self, inner: Float64, outer: Float64) -> Float64:
         """[V] s, for changes of the course and of what the layout holds."""
         known = self.outer != NOWHERE
         explained = (self.by_inner * inner[self.inner]).sum(1) + self.by_outer[:, known] @ outer[self.outer[known]]
-        explained += self.delays.by_corner @ outer[self.corners]
+        explained += self.delays.by_board @ outer[self.board]
         return np.asarray((self.delays.by_image[:, -1] - explained) / self.delays.told)
 
 
@@ -89,7 +89,7 @@ class BundleEquations:
         for own, late in zip(rows, self.late, strict=True):
             known = late.outer != NOWHERE
             own[:, late.outer[known]] = late.by_outer[:, known]
-            own[:, late.corners] = late.delays.by_corner
+            own[:, late.board] = late.delays.by_board
         inner, by_inner = (
             np.concatenate([getattr(late, name) for late in self.late]) for name in ("inner", "by_inner")
         )

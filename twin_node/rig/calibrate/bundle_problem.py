@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleState, Layout, Sighting
+from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
 from twin_node.rig.calibrate.course import Blend, Placed
 from twin_node.rig.calibrate.course_prior import Hands
@@ -23,6 +23,9 @@ from twin_node.scene import Bool, Float64
 BOARD_TOLERANCE = 0.01
 """1 sigma of a corner's place as a share of the distance between corners, where the board is refined: at first; from
 the second round on what was measured. Paper bends and printers stretch, but no print is off by several of these."""
+
+STRETCH_SIGMA = 0.01
+"""1 sigma of how much longer a print is along one side than along the other: rollers that pull paper."""
 
 BOARD_TOLERANCE_FLOOR = 1e-4
 """No print is better than this share of the distance between corners."""
@@ -96,7 +99,7 @@ class BundleProblem:
             tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
             options.clocks and moves and cameras > 1,
             options.readouts and moves,
-            len(start.points) if options.board else 0,
+            {BoardFreedom.FLAT: 0, BoardFreedom.STRETCHED: 2, BoardFreedom.BENT: 3 * len(start.points)}[options.board],
         )
         self._columns = self._outer_columns(max(self.layout.lens_sizes, default=0))
         places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
@@ -108,7 +111,8 @@ class BundleProblem:
         """[C] 1 sigma of each camera's delays, s; 0 where they are fixed, as at first."""
         self.hands = Hands()
         """How a board is moved: at first; from the second round on what was measured."""
-        self._step = _step(start.points)
+        self._stretch = _stretch_of(start.points) if options.board is BoardFreedom.STRETCHED else None
+        self._step = corner_step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
     def measure_board(self, state: BundleState) -> None:
@@ -153,7 +157,7 @@ class BundleProblem:
         square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
         robust = 2 * ROBUST_SIGMAS**2 * (np.sqrt(1 + square / ROBUST_SIGMAS**2) - 1)
         lenses = sum(float((lens.priors() ** 2).sum()) for lens in state.lenses) if self.layout.lens_sizes else 0.0
-        board = float((((state.points - self._start.points) / self._tolerance) ** 2).sum())
+        board = float((self._shape(state) ** 2).sum())
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
         clocks += float(((state.readouts / READOUT_SIGMA_S) ** 2).sum())
         clocks += float(((state.delays / np.maximum(self.jitter, LEAST_JITTER_S)[self.camera]) ** 2).sum())
@@ -191,7 +195,10 @@ class BundleProblem:
         readouts = state.readouts
         if layout.readouts:
             readouts = readouts + outer[layout.readout(0).start : layout.readout(layout.cameras - 1).stop]
-        points = state.points + outer[layout.corners].reshape(-1, 3) if layout.points else state.points
+        points = state.points
+        if layout.shape:
+            shape = outer[layout.board]
+            points = points + (shape if self._stretch is None else self._stretch @ shape).reshape(-1, 3)
         return replace(
             state,
             T_cam_rig=moved(state.T_cam_rig, cameras),
@@ -253,9 +260,7 @@ class BundleProblem:
         J, steering, motions = slopes.J, slopes.steering, slopes.steering.shape[1]
         rows = J.reshape(len(views), -1, J.shape[-1])
         squares = rows.swapaxes(1, 2) @ rows
-        products = None
-        if self.layout.points:
-            products = np.einsum("vpai,vpaj->vipj", J, slopes.by_corner).reshape(len(views), J.shape[-1], -1)
+        products, alone = self._by_shape(J, slopes.by_corner)
         delays = self._delays(look, squares, products, views)
         if delays is not None:
             squares = squares - delays.products(delays.by_image)
@@ -271,26 +276,23 @@ class BundleProblem:
         equations.add_inner(inner, inner_squares[:, :, :24], inner_squares[:, :, -1])
         equations.add_outer(outer, outer_squares[:-1, :-1], outer_squares[:-1, -1])
         equations.add_mixed(inner, outer, inner_squares[:, :, 24:-1])
-        corners = np.arange(self.layout.corners.start, self.layout.corners.stop)
-        if products is not None:
-            alone = block_diag(*np.einsum("vpai,vpaj->pij", slopes.by_corner, slopes.by_corner))
+        board = np.arange(self.layout.board.start, self.layout.board.stop)
+        if self.layout.shape:
             if delays is not None:
-                products = products - delays.products(delays.by_corner)
-                alone = alone - np.einsum("vi,v,vj->ij", delays.by_corner, 1 / delays.told, delays.by_corner)
-            by_corners = (own.swapaxes(1, 2) @ products).sum(0)
-            equations.add_mixed(inner, corners, _summed(steered @ products[:, :motions], groups))
-            equations.add_between(outer, corners, by_corners[:-1])
-            equations.add_outer(corners, alone, by_corners[-1])
+                products = products - delays.products(delays.by_board)
+                alone = alone - np.einsum("vi,v,vj->ij", delays.by_board, 1 / delays.told, delays.by_board)
+            by_board = (own.swapaxes(1, 2) @ products).sum(0)
+            equations.add_mixed(inner, board, _summed(steered @ products[:, :motions], groups))
+            equations.add_between(outer, board, by_board[:-1])
+            equations.add_outer(board, alone, by_board[-1])
         if delays is None:
             return []
         by_steering = (delays.by_image[:, None, :motions] @ steering)[:, 0]
         by_outer = (delays.by_image[:, None] @ own)[:, 0, :-1]
         columns = 6 * controls[:, :, None] + np.arange(6)
-        return [Late(views, columns.reshape(-1, 24), by_steering, outer, by_outer, corners, delays)]
+        return [Late(views, columns.reshape(-1, 24), by_steering, outer, by_outer, board, delays)]
 
-    def _delays(
-        self, look: Look, squares: Float64, products: Float64 | None, views: NDArray[np.int64]
-    ) -> Delays | None:
+    def _delays(self, look: Look, squares: Float64, products: Float64, views: NDArray[np.int64]) -> Delays | None:
         """What the images `views` of one camera tell of their delays; None where these are fixed."""
         jitter = self.jitter[self.camera[views[0]]]
         if not jitter:
@@ -299,8 +301,25 @@ class BundleProblem:
         by_image = (squares[:, :, :6] @ speeds[..., None])[..., 0]
         by_image[:, -1] -= look.state.delays[views] / jitter**2
         told = (by_image[:, :6] * speeds).sum(1) + jitter**-2
-        none = np.zeros((len(views), 0))
-        return Delays(by_image, none if products is None else (speeds[:, None] @ products[:, :6])[:, 0], told)
+        return Delays(by_image, (speeds[:, None] @ products[:, :6])[:, 0], told)
+
+    def _by_shape(self, J: Float64, by_corner: Float64) -> tuple[Float64, Float64]:
+        """[V, k, n] and [n, n] products of what the board's shape changes with all else, and with itself."""
+        views, columns = len(J), J.shape[-1]
+        if not self.layout.shape:
+            return np.zeros((views, columns, 0)), np.zeros((0, 0))
+        if self._stretch is None:
+            products = np.einsum("vpai,vpaj->vipj", J, by_corner).reshape(views, columns, -1)
+            return products, block_diag(*np.einsum("vpai,vpaj->pij", by_corner, by_corner))
+        by_stretch = np.einsum("vpai,pij->vpaj", by_corner, self._stretch.reshape(-1, 3, self.layout.shape))
+        rows = by_stretch.reshape(views, -1, self.layout.shape)
+        products = J.reshape(views, -1, columns).swapaxes(1, 2) @ rows
+        return products, (rows.swapaxes(1, 2) @ rows).sum(0)
+
+    def _shape(self, state: BundleState) -> Float64:
+        """What of the board's shape is held, in sigmas."""
+        off = (state.points - self._start.points).ravel()
+        return off / self._tolerance if self._stretch is None else np.linalg.pinv(self._stretch) @ off / STRETCH_SIGMA
 
     def _slopes(self, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
         """How what the images `views` of one camera show changes."""
@@ -354,10 +373,10 @@ class BundleProblem:
             equations.add_outer(
                 columns, np.eye(len(columns)) / READOUT_SIGMA_S**2, -state.readouts / READOUT_SIGMA_S**2
             )
-        if layout.points:
-            columns = np.arange(layout.corners.start, layout.corners.stop)
-            off = (state.points - self._start.points).ravel() / self._tolerance**2
-            equations.add_outer(columns, np.eye(len(columns)) / self._tolerance**2, -off)
+        if layout.shape:
+            columns = np.arange(layout.board.start, layout.board.stop)
+            sigma = self._tolerance if self._stretch is None else STRETCH_SIGMA
+            equations.add_outer(columns, np.eye(len(columns)) / sigma**2, -self._shape(state) / sigma)
 
 
 def _summed(values: Float64, groups: NDArray[np.int64]) -> Float64:
@@ -369,7 +388,14 @@ def _summed(values: Float64, groups: NDArray[np.int64]) -> Float64:
     return np.asarray(adder @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
-def _step(points: Float64) -> float:
+def _stretch_of(points: Float64) -> Float64:
+    """[3 P, 2] m of flat corners [P, 3] by their stretch along x and against y, and by their shear."""
+    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T / 2
+    none = np.zeros_like(x)
+    return np.stack([np.stack([x, -y, none], axis=1).ravel(), np.stack([y, x, none], axis=1).ravel()], axis=1)
+
+
+def corner_step(points: Float64) -> float:
     """Median distance, m, from a corner of a board [P, 3] to the nearest other."""
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(distances, np.inf)

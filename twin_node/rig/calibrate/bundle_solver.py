@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
+from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, BundleState, Sighting
 from twin_node.rig.calibrate.bundle_problem import BundleProblem, Look
 from twin_node.rig.calibrate.stamp_jitter import JITTER_SIGMA_S
 from twin_node.scene import Bool, Float64
@@ -92,13 +92,24 @@ def solve_bundle(
     )
 
 
+def with_board_that_pays(flat: BundleResult, given: Sequence[Sighting], options: BundleOptions) -> BundleResult:
+    """The bundle over a board that is stretched, or bent, where that explains enough; `given`: what it was made of."""
+    best = flat
+    for board in (BoardFreedom.STRETCHED, BoardFreedom.BENT):
+        other = solve_bundle(best.state, given, replace(options, board=board), flat)
+        best = other if board_pays(best, other) else best
+    return best
+
+
 def board_pays(rigid: BundleResult, bent: BundleResult) -> bool:
     """Whether a refined board explains enough for its unknowns (Bayesian information criterion, Schwarz 1978)."""
     counts = np.zeros(len(rigid.noise_px))
     for sighting in rigid.sightings:
         counts[sighting.camera] += 2 * len(sighting.corners)
     gain = float(counts @ np.log(rigid.noise_px / bent.noise_px))
-    unknowns = 3 * bent.layout.points - 6  # where the board as a whole is, its poses say
+    unknowns = bent.layout.shape
+    if unknowns == bent.state.points.size:
+        unknowns -= 6  # where the board as a whole is, its poses say
     return bool(gain > unknowns / 2 * np.log(counts.sum()))
 
 

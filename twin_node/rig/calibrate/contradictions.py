@@ -7,7 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin_node.geometry import transform
+from twin_node.rig.calibrate.board_shape import board_shape
+from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import BundleResult, Sighting
+from twin_node.rig.calibrate.bundle_problem import corner_step
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.stamp_jitter import MOST_JITTER_S
@@ -22,6 +25,10 @@ have 11 times and more."""
 
 MOST_LEFT_OUT = 0.15
 """Share of all images of a moved board that a fit may do without. Good recordings lose 1 %."""
+
+MOST_UNLIKE = 0.02
+"""Share of the distance between corners, within the plane of the board. Prints are good to a tenth of it; gaps of 0.3
+stated as 0.28 make it up."""
 
 CAUSE = (
     "are the stamps those of its frames, in seconds, and the cameras' clocks within a second of each other all along? "
@@ -60,6 +67,16 @@ def check_fit(
         raise RigError(
             f"cameras {', '.join(names)}: expected images that fit one course of the board, found that many do not "
             f"({', '.join(lost)}); {CAUSE}"
+        )
+
+
+def check_board(board: Board, bundle: BundleResult) -> None:
+    """Raises `RigError` where the board is another one than was stated, so that its size is unknown."""
+    unlike_m, step_m = board_shape(board.points, bundle.state.points).unlike_m, corner_step(board.points)
+    if unlike_m > MOST_UNLIKE * step_m:
+        raise RigError(
+            f"board: expected {board}, found its corners {1e3 * unlike_m:.1f} mm off that, as neither stretching nor "
+            "bending explains; measure its squares, or its tags and their gaps"
         )
 
 

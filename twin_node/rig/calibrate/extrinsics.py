@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
-from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
-from twin_node.rig.calibrate.contradictions import check_fit, check_lenses
+from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, Sighting
+from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
+from twin_node.rig.calibrate.contradictions import check_board, check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import islands
@@ -106,6 +106,7 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     start = start_of(board, members, [lenses[i] for i in group], own, stamps, options.base_ns)
     bundle = _solved(start, options)
     moving, names = all(camera.moving for camera in members), tuple(camera.name for camera in members)
+    check_board(board, bundle)
     check_fit(names, start.state.lenses, start.sightings, bundle, moving)
     witnesses = Witnesses.of(start.sightings, bundle)
     if not options.lenses:
@@ -123,11 +124,11 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
 
 def _solved(start: Start, options: RigOptions) -> BundleResult:
     """The bundle, over a bent board where that was asked for or pays."""
-    free = BundleOptions(options.lenses, bool(options.board), options.clocks)
+    board = BoardFreedom.BENT if options.board else BoardFreedom.FLAT
+    free = BundleOptions(options.lenses, board, options.clocks)
     bundle = solve_bundle(start.state, start.sightings, free)
     if options.board is None:
-        bent = solve_bundle(bundle.state, start.sightings, replace(free, board=True), bundle)
-        bundle = bent if board_pays(bundle, bent) else bundle
+        return with_board_that_pays(bundle, start.sightings, free)
     return bundle
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin_node.geometry import rotation_from_quat, transform
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
-from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
+from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
 from twin_node.rig.calibrate.course import still_course
 from twin_node.rig.calibrate.lens_start import LensStart, lens_start
 from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
@@ -172,8 +172,7 @@ def _refined(
     """The lens by bundle adjustment, which also tells how sure it is, over a flat board or one that is not."""
     sightings = [Sighting(0, number, view.corners) for number, view in enumerate(views)]
     bundle = _bundle(board, views, start)
-    bent = solve_bundle(bundle.state, sightings, BundleOptions(board=True))
-    bundle = bent if board_pays(bundle, bent) else bundle
+    bundle = with_board_that_pays(bundle, sightings, BundleOptions())
     return LensCalibration(
         bundle.state.lenses[0],
         np.sqrt(np.diag(bundle.covariance)[bundle.layout.lens(0)]),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.rig.calibrate.board_shape import board_shape
 from twin_node.rig.calibrate.bundle import BundleResult, BundleState
 from twin_node.rig.calibrate.extrinsics import RigSolution
 from twin_node.rig.calibrate.lenses import Lens, in_view, project
@@ -173,7 +174,7 @@ def pose_covariances(solution: RigSolution, T_base_rig: Float64) -> Float64:
     """[C, 6, 6] covariances of `T_base_cam`: position (m), turns about the base's axes (rad).
 
     They are of a free network (Triggs et al. 1999, section 9): errors that move the rig as a whole are no errors of
-    calibration, and taken out as `settled` does.
+    calibration, and taken out as `settled` does. What a stretched board leaves open of its size is none of those.
     """
     bundle, cameras = solution.bundle, len(solution.names)
     poses = T_base_rig @ camera_poses(bundle.state)
@@ -183,7 +184,10 @@ def pose_covariances(solution: RigSolution, T_base_rig: Float64) -> Float64:
         by_change = np.block([[-R_base_cam @ cross_matrix(shift), -R_base_cam], [-R_base_cam, np.zeros((3, 3))]])
         J[6 * i : 6 * i + 6, bundle.layout.camera(i)] = by_change
     J = settled(poses, J)
-    whole = J @ bundle.covariance @ J.T
+    by_size = np.zeros((6 * cameras, 1))
+    by_size.reshape(cameras, 6)[:, :3] = poses[:, :3, 3]
+    by_size = settled(poses, by_size) * board_shape(solution.board.points, bundle.state.points).size_sigma
+    whole = J @ bundle.covariance @ J.T + by_size @ by_size.T
     return np.stack([whole[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(cameras)])
 
 
