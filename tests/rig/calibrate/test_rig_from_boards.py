@@ -22,6 +22,7 @@ from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.contradictions import check_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
 from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
+from twin_node.rig.calibrate.lenses import rays_of
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import (
     board_as_base,
@@ -363,6 +364,19 @@ def test_a_lens_that_is_fixed_and_wrong_is_named() -> None:
     cameras[1] = replace(cameras[1], lens=replace(lens, K=lens.K * np.array([[1.04, 1, 1], [1, 1.04, 1], [1, 1, 1]])))
     with pytest.raises(RigError, match="camera cam1: expected images through the lens given, which is fixed"):
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
+def test_corners_at_a_fisheye_s_edge_are_used() -> None:
+    """A third of those from 60 degrees on, and two thirds in large images, were taken for misread."""
+    lens, rng = a_lens("equidistant", 1280, 960, 360.0), np.random.default_rng(0)
+    cameras = [
+        replace(record(BOARD, lens, T, f"cam{i}", rng, Spoiled(0.3), SECONDS), lens=lens)
+        for i, T in enumerate(around(2, radius=0.6))
+    ]
+    found = [corners for camera in cameras for corners in camera.found if corners is not None and len(corners) > 5]
+    solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+    assert max(float(np.abs(rays_of(lens, corners.pixels)).max()) for corners in found) > 2
+    assert sum(len(s.corners) for s in solution.bundle.sightings) > 0.99 * sum(len(corners) for corners in found)
 
 
 def test_stamps_that_jitter_are_not() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, Sighting
@@ -20,10 +21,12 @@ from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.calibrate.witnesses import Witnesses
 from twin_node.rig.errors import RigError
+from twin_node.scene import Float64
 from twin_node.thinning import thinned
 
-MISREAD_PX = 2.0
-"""A corner further than this from the plane of its board is misread: sub-pixel corners and a first lens err by less."""
+MISREAD_SHARE = 1 / 320
+"""A corner further than this share of its image's width from the plane of its board is misread: corners, which are no
+sharper in large images, and a first lens err by less."""
 
 MOST = 0.6
 """Share of a view's corners that must lie on one plane, else the view is left out."""
@@ -169,12 +172,23 @@ def _cleaned(board: Board, lens: Lens, corners: Corners | None) -> Corners | Non
     """The corners that lie on one plane (RANSAC); None where most do not: interpolation would spread what is wrong."""
     if corners is None or len(corners) < MIN_CORNERS:
         return None
-    flat = rays_of(lens, corners.pixels) * lens.K[0, 0]
-    _, mask = cv2.findHomography(board.points[corners.ids, :2], flat, cv2.RANSAC, MISREAD_PX, maxIters=DRAWS)
+    flat = _seen_straight(rays_of(lens, corners.pixels)) * lens.K[0, 0]
+    _, mask = cv2.findHomography(
+        board.points[corners.ids, :2], flat, cv2.RANSAC, MISREAD_SHARE * lens.width, maxIters=DRAWS
+    )
     good = np.zeros(len(corners), dtype=bool) if mask is None else np.asarray(mask).ravel() > 0
     if good.mean() < MOST:
         return None
     return Corners(corners.ids[good], corners.pixels[good])
+
+
+def _seen_straight(rays: Float64) -> Float64:
+    """Rays [N, 2] (x/z, y/z) as if the lens had looked at their middle: at a fisheye's edge a pixel makes x/z a lot."""
+    ways = np.column_stack([rays, np.ones(len(rays))])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    straight, *_ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [ways.mean(axis=0)])
+    turned = straight.apply(ways)
+    return np.asarray(turned[:, :2] / turned[:, 2:])
 
 
 def _misread(given: Sequence[CameraRecording], cleaned: Sequence[CameraRecording]) -> list[DroppedView]:
