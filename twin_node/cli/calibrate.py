@@ -21,6 +21,7 @@ from twin_node.cli.calibrate_files import (
     add_report,
 )
 from twin_node.cli.calibrate_motion import add_hand_eye, add_refine, add_time
+from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
@@ -154,7 +155,6 @@ def _show_lens(calibration: LensCalibration, pictures: int) -> None:
 
 
 def _rig(options: argparse.Namespace) -> None:
-    from twin_node.rig import save_rig
     from twin_node.rig.calibrate.board_files import find_board, load_board
     from twin_node.rig.calibrate.extrinsics import RigOptions, calibrate_rig
     from twin_node.rig.calibrate.recordings import load_cameras, with_lenses
@@ -180,33 +180,13 @@ def _rig(options: argparse.Namespace) -> None:
     )
     solution = calibrate_rig(board, cameras, rig_options)
     T_base_rig = None if base_ns is None else board_as_base(solution, base_ns)
-    lost = _written_by_hand(options.output)
-    save_rig(rig_file_of(solution, T_base_rig), options.output)
+    write_rig(rig_file_of(solution, T_base_rig), options.output)
     if options.json:
         print(json.dumps(_rig_figures(solution)))
     else:
         _show_rig(solution, options.output)
-    if lost:
-        print(
-            f"twin_node: warning: {options.output} is replaced: write anew what it held by hand: {', '.join(lost)}",
-            file=sys.stderr,
-        )
     for name in solution.unconnected:
         print(f"twin_node: warning: camera {name} shares no view of the board: left out", file=sys.stderr)
-
-
-def _written_by_hand(path: Path) -> list[str]:
-    """What a rig file that is about to be replaced holds that no calibration of a board writes."""
-    from twin_node.rig import RigError, load_rig
-
-    if not path.is_file():
-        return []
-    try:
-        before = load_rig(path, facing=False)
-    except RigError:  # no rig file: nothing of it could be taken over
-        return []
-    held = {"workspace": before.rig.workspace is not None, "notes": before.notes, "videos": any(before.sources)}
-    return [name for name, there in held.items() if there]
 
 
 def _rig_figures(solution: RigSolution) -> dict[str, object]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import positive
+from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
@@ -175,12 +176,11 @@ def _rehearse(options: argparse.Namespace) -> None:
 
 
 def _import(options: argparse.Namespace) -> None:
-    from twin_node.rig import save_rig
     from twin_node.rig.calibrate.importers import IMPORTERS
 
     unit = () if options.unit_m is None else (options.unit_m,)
     rig_file = IMPORTERS[options.format](options.source, *unit)
-    save_rig(rig_file, options.output)
+    write_rig(rig_file, options.output)
     print(f"{options.output}: {len(rig_file.rig.cameras)} cameras in {rig_file.frame!r}")
 
 

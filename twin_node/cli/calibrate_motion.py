@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, file_to_write, positive
+from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:
     from twin_node.nodes.log_source import LogSession
@@ -150,7 +151,7 @@ def _cameras_beside(options: argparse.Namespace) -> RigFile | None:
 
 def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) -> None:
     """A rig file whose frame is what carries the camera; `together`: the cameras that stand beside it come along."""
-    from twin_node.rig import RigFile, save_rig
+    from twin_node.rig import RigFile
     from twin_node.rig.calibrate.hand_eye import Mount
     from twin_node.rig.calibrate.results import in_base
     from twin_node.scene import Rig
@@ -164,10 +165,10 @@ def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) 
     if together is not None:
         notes = f"Tied to the robot by camera {camera.name}. {notes} {together.notes}".strip()
         moved = in_base(together, camera.name, result.T_carrier_camera)
-        save_rig(replace(moved, date=_today(), notes=notes), path)
+        write_rig(replace(moved, date=_today(), notes=notes), path)
         return
     frame = "tool0" if result.mount is Mount.CAMERA else "base_link"
-    save_rig(RigFile(Rig((camera,)), frame=frame, date=_today(), notes=notes), path)
+    write_rig(RigFile(Rig((camera,)), frame=frame, date=_today(), notes=notes), path)
 
 
 def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
@@ -191,7 +192,7 @@ def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
 
 
 def _refine(options: argparse.Namespace) -> None:
-    from twin_node.rig import RigError, save_rig
+    from twin_node.rig import RigError
     from twin_node.rig.calibrate.refine import measured_by_depth, refine_rig
 
     with _session(options) as session:
@@ -215,7 +216,7 @@ def _refine(options: argparse.Namespace) -> None:
                 warnings.append(f"clocks are left as they are: {error}")
             else:
                 refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
-    save_rig(refined, options.output)
+    write_rig(refined, options.output)
     for reason in warnings:
         print(f"twin_node: warning: {reason}", file=sys.stderr)
     print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
@@ -250,12 +251,10 @@ def _refine_lines(result: RefineResult) -> list[str]:
 
 
 def _time(options: argparse.Namespace) -> None:
-    from twin_node.rig import save_rig
-
     with _session(options) as session:
         timed = _timed(options, session, _given(options, session.rig))
     if options.output:
-        save_rig(timed.file, options.output)
+        write_rig(timed.file, options.output)
     print(json.dumps(timed.figures) if options.json else "\n".join(timed.lines))
 
 
