@@ -158,7 +158,7 @@ def _rig(options: argparse.Namespace) -> None:
     from twin_node.rig.calibrate.board_files import find_board, load_board
     from twin_node.rig.calibrate.extrinsics import RigOptions, calibrate_rig
     from twin_node.rig.calibrate.recordings import load_cameras, with_lenses
-    from twin_node.rig.calibrate.results import board_as_base, rig_file_of
+    from twin_node.rig.calibrate.results import board_as_base, left_open, rig_file_of
 
     board: Board = load_board(options.board) if options.board else find_board(options.folder)
     with tqdm(unit="picture", desc="board", disable=None) as bar:
@@ -180,27 +180,35 @@ def _rig(options: argparse.Namespace) -> None:
     )
     solution = calibrate_rig(board, cameras, rig_options)
     T_base_rig = None if base_ns is None else board_as_base(solution, base_ns)
-    write_rig(rig_file_of(solution, T_base_rig), options.output)
+    rig_file = rig_file_of(solution, T_base_rig)
+    write_rig(rig_file, options.output)
     if options.json:
         print(json.dumps(_rig_figures(solution)))
     else:
         _show_rig(solution, options.output)
+    for warning in left_open(rig_file):
+        print(f"twin_node: warning: {warning}", file=sys.stderr)
     for name in solution.unconnected:
         print(f"twin_node: warning: camera {name} shares no view of the board: left out", file=sys.stderr)
 
 
 def _rig_figures(solution: RigSolution) -> dict[str, object]:
+    import numpy as np
+
     from twin_node.rig.calibrate.board_shape import board_shape
     from twin_node.rig.calibrate.results import (
         agreement_sigmas,
         camera_poses,
         camera_residuals,
         clock_sigmas,
+        place_sigma,
+        pose_covariances,
         readout_sigmas,
         residuals_of,
         residuals_of_all,
     )
 
+    places = [place_sigma(covariance) for covariance in pose_covariances(solution, np.eye(4))]
     all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
     poses, sigmas, clocks = camera_poses(state), agreement_sigmas(solution), clock_sigmas(solution)
     readouts, shape = readout_sigmas(solution), board_shape(solution.board.points, state.points)
@@ -216,6 +224,7 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
             "distortion": {"model": state.lenses[i].model, "coefficients": state.lenses[i].D.tolist()},
             "T_rig_cam": poses[i].tolist(),
             "sigma_m": float(sigmas[i]),
+            "place_sigma_m": places[i],
             "time_offset_s": float(state.clocks[i, 0]),
             "time_offset_sigma_s": float(clocks[i, 0]),
             "time_rate_ppm": 1e6 * float(state.clocks[i, 1]),
@@ -240,12 +249,16 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
 
 
 def _show_rig(solution: RigSolution, output: Path) -> None:
+    import numpy as np
+
     from twin_node.rig.calibrate.board_shape import board_shape
     from twin_node.rig.calibrate.results import (
         CERTAIN_SIGMAS,
         agreement_sigmas,
         camera_residuals,
         clock_sigmas,
+        place_sigma,
+        pose_covariances,
         readout_sigmas,
         residuals_of,
         residuals_of_all,
@@ -258,6 +271,7 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
         f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
         f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
     )
+    places = [place_sigma(covariance) for covariance in pose_covariances(solution, np.eye(4))]
     for i, (name, sigma) in enumerate(zip(solution.names, agreement_sigmas(solution), strict=True)):
         own = residuals_of(camera_residuals(solution, i))
         offset, rate = state.clocks[i]
@@ -270,7 +284,8 @@ def _show_rig(solution: RigSolution, output: Path) -> None:
         if (jitter := solution.bundle.jitter_s[i]) > TELLING_JITTER_S:
             shutter += f", stamps off by {1e3 * jitter:.1f} ms one by one"
         figures_px = f"median {own.median_px:.3f} px, rms {own.rms_px:.3f} px"
-        print(f"  {name}: {figures_px}, sigma {1e3 * sigma:.2f} mm{clock}{shutter}")
+        place = f"place +- {1e3 * places[i]:.2f} mm, sigma {1e3 * sigma:.2f} mm"
+        print(f"  {name}: {figures_px}, {place}{clock}{shutter}")
     if solution.bundle.layout.shape:
         print(
             f"  board: corners {1e3 * shape.off_m:.2f} mm off the flat print stated, stretched by "

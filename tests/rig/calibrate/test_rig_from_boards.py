@@ -27,6 +27,7 @@ from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import (
     board_as_base,
     camera_poses,
+    left_open,
     metres_per_pixel,
     pose_covariances,
     rig_file_of,
@@ -124,6 +125,23 @@ def test_a_lens_given_with_four_coefficients_is_estimated_with_them() -> None:
     lenses = calibrate_rig(BOARD, four, RigOptions(board=False)).bundle.state.lenses
     assert [len(lens.D) for lens in lenses] == [4, 4]
     assert all(abs(lens.K[0, 0] / c.lens.K[0, 0] - 1) < 0.02 for lens, c in zip(lenses, four, strict=True))
+
+
+def test_what_a_recording_does_not_tell_is_warned_of(solution: RigSolution) -> None:
+    """A board that hardly moved left places open by 14 mm and a clock by 60 ms; what was told of it was "0.02 mm"."""
+    assert left_open(rig_file_of(solution)) == []
+    rng, lenses = np.random.default_rng(0), [a_lens(), a_lens()]
+    slow = [
+        record(BOARD, lens, T, f"cam{i}", rng, seconds=SECONDS, pace=0.05)
+        for i, (lens, T) in enumerate(zip(lenses, around(2), strict=True))
+    ]
+    given = [replace(camera, lens=lens) for camera, lens in zip(slow, lenses, strict=True)]
+    told = left_open(rig_file_of(calibrate_rig(BOARD, given, RigOptions(board=False))))
+    assert [text.split(" is open")[0] for text in told] == [
+        "camera cam0: its place",
+        "camera cam1: its place",
+        "camera cam1: its clock",
+    ]
 
 
 def test_the_rig_file_keeps_what_was_found(solution: RigSolution, tmp_path: Path) -> None:

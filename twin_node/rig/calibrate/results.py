@@ -29,6 +29,9 @@ LEAST_DEPTH_M = 0.05
 CERTAIN_SIGMAS = 2
 """A clock's rate is written where it is more than so many of its errors: what noise adds would grow day by day."""
 
+OPEN_M, OPEN_S = 0.003, 0.005
+"""1 sigma of a place and of a clock beyond which a recording has not told them: what rigs are wanted to be right to."""
+
 BASE_TOLERANCE_S = 0.5
 """A board that lies still is taken for seen at a time where an image shows it so near to that."""
 
@@ -118,6 +121,30 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
         board=str(solution.board),
         evidence=tuple(evidence),
     )
+
+
+def left_open(rig_file: RigFile) -> list[str]:
+    """What a recording of a board did not tell of the cameras, and what would, to read."""
+    told = []
+    for camera, evidence in zip(rig_file.rig.cameras, rig_file.evidence, strict=True):
+        if evidence is None or evidence.pose_covariance is None:
+            continue
+        if (place_m := place_sigma(evidence.pose_covariance)) > OPEN_M:
+            told.append(
+                f"camera {camera.name}: its place is open by {1e3 * place_m:.1f} mm, however well all fits; record the "
+                "board longer, near and far, up to the images' corners and tilted to all sides"
+            )
+        if (clock_s := evidence.time_offset_sigma or 0.0) > OPEN_S:
+            told.append(
+                f"camera {camera.name}: its clock is open by {1e3 * clock_s:.0f} ms; move the board while this and "
+                "another camera see it"
+            )
+    return told
+
+
+def place_sigma(pose_covariance: Float64) -> float:
+    """1 sigma, m, of a camera's position along the axis where it is least certain, of a `pose_covariance` [6, 6]."""
+    return float(np.sqrt(np.linalg.eigvalsh(pose_covariance[:3, :3])[-1]))
 
 
 def board_as_base(solution: RigSolution, stamp: int) -> Float64:
