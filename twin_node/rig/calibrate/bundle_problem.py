@@ -155,7 +155,7 @@ class BundleProblem:
         """Half the robust sum of squares, in sigmas, of the corners that are kept and of all priors."""
         state = look.state
         square = (look.residuals[kept] ** 2).sum(-1) / np.repeat(noise_px[self.camera] ** 2, kept.sum(1))
-        robust = 2 * ROBUST_SIGMAS**2 * (np.sqrt(1 + square / ROBUST_SIGMAS**2) - 1)
+        robust = soft_l1(square)
         lenses = sum(float((lens.priors() ** 2).sum()) for lens in state.lenses) if self.layout.lens_sizes else 0.0
         board = float((self._shape(state) ** 2).sum())
         clocks = float(((state.clocks / [CLOCK_SIGMA_S, RATE_SIGMA]) ** 2).sum())
@@ -377,6 +377,11 @@ class BundleProblem:
             columns = np.arange(layout.board.start, layout.board.stop)
             sigma = self._tolerance if self._stretch is None else STRETCH_SIGMA
             equations.add_outer(columns, np.eye(len(columns)) / sigma**2, -self._shape(state) / sigma)
+
+
+def soft_l1(square: Float64) -> Float64:
+    """[N] what squares [N], in sigmas, count for."""
+    return np.asarray(2 * ROBUST_SIGMAS**2 * (np.sqrt(1 + square / ROBUST_SIGMAS**2) - 1))
 
 
 def _summed(values: Float64, groups: NDArray[np.int64]) -> Float64:

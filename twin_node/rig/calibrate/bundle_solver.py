@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, BundleState, Sighting
-from twin_node.rig.calibrate.bundle_problem import BundleProblem, Look
+from twin_node.rig.calibrate.bundle_problem import BundleProblem, Look, soft_l1
 from twin_node.rig.calibrate.stamp_jitter import JITTER_SIGMA_S
 from twin_node.scene import Bool, Float64
 
@@ -106,11 +106,19 @@ def board_pays(rigid: BundleResult, bent: BundleResult) -> bool:
     counts = np.zeros(len(rigid.noise_px))
     for sighting in rigid.sightings:
         counts[sighting.camera] += 2 * len(sighting.corners)
-    gain = float(counts @ np.log(rigid.noise_px / bent.noise_px))
+    gain = float(counts @ np.log(_misfit(rigid, rigid.noise_px) / _misfit(bent, rigid.noise_px))) / 2
     unknowns = bent.layout.shape
     if unknowns == bent.state.points.size:
         unknowns -= 6  # where the board as a whole is, its poses say
     return bool(gain > unknowns / 2 * np.log(counts.sum()))
+
+
+def _misfit(bundle: BundleResult, noise_px: Float64) -> Float64:
+    """[C] mean robust square, in sigmas, of each camera's corners: medians of two fits differ by chance already."""
+    cameras = np.concatenate([np.full(len(s.corners), s.camera) for s in bundle.sightings])
+    square = (np.concatenate(bundle.residuals) ** 2).sum(axis=1) / noise_px[cameras] ** 2
+    count = len(noise_px)
+    return np.bincount(cameras, soft_l1(square), count) / np.maximum(np.bincount(cameras, minlength=count), 1)
 
 
 def minimise(problem: BundleProblem, start: Look, kept: Bool, noise_px: Float64, enough: float = CONVERGED) -> Look:
