@@ -22,7 +22,7 @@ from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.contradictions import check_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
 from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
-from twin_node.rig.calibrate.lenses import rays_of
+from twin_node.rig.calibrate.lenses import Lens, rays_of
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import (
     board_as_base,
@@ -485,6 +485,24 @@ def test_a_lens_through_which_no_board_has_a_place_is_named() -> None:
     endless = replace(a_lens(), K=np.array([[1e10, 0, 320], [0, 1e10, 240], [0, 0, 1]]), D=np.zeros(5))
     with pytest.raises(RigError, match="cameras cam1: expected views that tell where the board is"):
         calibrate_rig(BOARD, [first, replace(second, lens=endless)])
+
+
+def test_images_that_fit_no_place_of_the_board_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All images of one stretch of its course were such: "need at least one array to stack"."""
+    first, second = a_rig(0, cameras=2, outliers=0.0)
+    seen = [corners for corners in first.found if corners is not None and len(corners) == len(BOARD.points)][:3]
+    later = first.stamps[-1] + 5 * 10**9 + 10**8 * np.arange(3)
+    odd = [Corners(corners.ids, corners.pixels + 1) for corners in seen]
+    images = (*first.images, *(f"odd {i}" for i in range(3)))
+    longer = replace(first, stamps=np.append(first.stamps, later), images=images, found=(*first.found, *odd))
+
+    def pose_of_all_but_those(lens: Lens, points: Float64, pixels: Float64) -> Float64 | None:
+        none = any(pixels.shape == own.pixels.shape and np.allclose(pixels, own.pixels) for own in odd)
+        return None if none else board_pose(lens, points, pixels)
+
+    monkeypatch.setattr("twin_node.rig.calibrate.rig_start.board_pose", pose_of_all_but_those)
+    solution = calibrate_rig(BOARD, [longer, second], RigOptions(lenses=False, board=False))
+    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.002
 
 
 def test_corners_on_a_line_are_no_view() -> None:

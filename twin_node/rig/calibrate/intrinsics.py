@@ -116,7 +116,8 @@ def calibrate_lens(
         if len(used) < MIN_VIEWS:
             raise RigError(
                 f"{source}: expected at least {MIN_VIEWS} views of the board ({board}), found {len(used)} "
-                f"among {len(views)} with a board; check the board's size and take more pictures"
+                f"among {len(views)} with a board; check its columns, rows and dictionary, whether it is inverted or "
+                "legacy and the images are mirrored, or take more pictures"
             )
         solution = _solve(board, used, size, model, source)
         kept = _fitting(_residuals(board, used, solution))

@@ -18,6 +18,7 @@ from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.calibrate.pose_graph import PoseGraph, board_pose, build_pose_graph
 from twin_node.rig.calibrate.tracks import CameraRecording, source_of
 from twin_node.rig.errors import RigError
+from twin_node.scene import Float64
 from twin_node.thinning import thinned
 
 SETS_PER_PAIR = 25
@@ -112,8 +113,8 @@ def start_of(
         windows = _windows(first_look, len(cameras), stamps)
         if wanted_ns is not None:
             windows.add(int((wanted_ns - origin) / 1e9 // WINDOW_S))
-        seen = _in_stretches([*_images(board, cameras, origin, windows)], pause_s)
-        course = _moving_course(board, lenses, T_rig_cam, seen.sightings)
+        seen = _in_stretches([*_images(board, cameras, lenses, origin, windows)], pause_s)
+        course = _moving_course(T_rig_cam, seen)
         clocks_hold_at_s = _whole_second(origin, float(np.mean([s.time_s for s in seen.sightings])))
     else:
         seen = _Seen(tuple(sets), tuple(_image_at(cameras[s.camera], int(stamps[chosen[s.board]])) for s in sets))
@@ -132,17 +133,11 @@ def start_of(
     return Start(state, seen.sightings, seen.names, origin)
 
 
-def _moving_course(
-    board: Board,
-    lenses: Sequence[Lens],
-    T_rig_cam: NDArray[np.float64],
-    sightings: Sequence[Sighting],
-) -> Course:
+def _moving_course(T_rig_cam: Float64, seen: _Seen) -> Course:
     """The board's, near where each image alone has it."""
-    poses = [board_pose(lenses[s.camera], board.points[s.corners.ids], s.corners.pixels) for s in sightings]
     times, places = [], []
-    for stretch in range(sightings[-1].board + 1):
-        own = [(s, T) for s, T in zip(sightings, poses, strict=True) if s.board == stretch and T is not None]
+    for stretch in range(seen.sightings[-1].board + 1):
+        own = [(s, T) for s, T in zip(seen.sightings, seen.poses, strict=True) if s.board == stretch]
         times.append(np.array([s.time_s for s, _ in own]))
         places.append(np.stack([T_rig_cam[s.camera] @ T for s, T in own]))
     return smooth_course(times, places, STEP_S)
@@ -185,25 +180,37 @@ def _windows(first_look: Sequence[Sighting], cameras: int, stamps: NDArray[np.in
 class _Image:
     name: str
     sighting: Sighting
+    T_cam_board: Float64
+    """[4, 4] as the image alone has it."""
 
 
-def _images(board: Board, cameras: Sequence[CameraRecording], origin: int, windows: set[int]) -> Iterator[_Image]:
-    """The images of all cameras within the windows, none closer to its camera's last than makes sense."""
+def _images(
+    board: Board, cameras: Sequence[CameraRecording], lenses: Sequence[Lens], origin: int, windows: set[int]
+) -> Iterator[_Image]:
+    """The images of all cameras within the windows, none closer to its camera's last than makes sense.
+
+    Those that fit no place of the board are left out.
+    """
     for number, camera in enumerate(cameras):
         last = -np.inf
         for stamp, image, corners in zip(camera.stamps.tolist(), camera.images, camera.found, strict=True):
             time = (stamp - origin) / 1e9
             if corners is None or not usable(board, corners) or time // WINDOW_S not in windows:
                 continue
-            if time - last >= LEAST_PERIOD * STEP_S:
+            if time - last < LEAST_PERIOD * STEP_S:
+                continue
+            T = board_pose(lenses[number], board.points[corners.ids], corners.pixels)
+            if T is not None:
                 last = time
-                yield _Image(f"{camera.name}: {image}", Sighting(number, 0, corners, time))
+                yield _Image(f"{camera.name}: {image}", Sighting(number, 0, corners, time), T)
 
 
 @dataclass(frozen=True)
 class _Seen:
     sightings: tuple[Sighting, ...]
     names: tuple[str, ...]
+    poses: tuple[Float64, ...] = ()
+    """[4, 4] each, of a board that is moved: in the optical frame, as the image alone has it."""
 
 
 def _in_stretches(images: Sequence[_Image], pause_s: float) -> _Seen:
@@ -215,7 +222,7 @@ def _in_stretches(images: Sequence[_Image], pause_s: float) -> _Seen:
         Sighting(image.sighting.camera, int(stretch), image.sighting.corners, image.sighting.time_s)
         for image, stretch in zip(ordered, stretches, strict=True)
     )
-    return _Seen(sightings, tuple(image.name for image in ordered))
+    return _Seen(sightings, tuple(image.name for image in ordered), tuple(image.T_cam_board for image in ordered))
 
 
 def _image_at(camera: CameraRecording, stamp: int) -> str:
