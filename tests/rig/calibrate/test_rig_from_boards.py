@@ -326,6 +326,21 @@ def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, b
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
+def test_a_camera_that_was_moved_between_stills_is_named() -> None:
+    """All of its last stills were left out: the rig told where it had stood before."""
+    places = around(3)
+    moved = places[1] @ pose(Rotation.from_rotvec([0, 0.03, 0]).as_matrix(), np.array([0.03, 0, 0]))
+    films = [
+        record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(7), seconds=60, rate_hz=0.5)
+        for i, T in enumerate((*places, moved))
+    ]
+    numbers = np.arange(len(films[0].found)) * 10**9
+    cameras = [replace(film, stamps=numbers, moving=False, lens=a_lens()) for film in films[:3]]
+    cameras[1] = replace(cameras[1], found=(*cameras[1].found[:24], *films[3].found[24:]))
+    with pytest.raises(RigError, match="camera cam1: expected one place all along"):
+        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
 def test_a_board_that_rests_at_the_end_is_one_witness() -> None:
     """All images of it err alike: taken for so many witnesses they told that a camera was moved, by 7 mm."""
     coded = []

@@ -96,7 +96,7 @@ def _split(witnesses: Witnesses, camera: int, late: Bool) -> Split:
 def _elsewhere(bundle: BundleResult, camera: int) -> int:
     """Images of a camera that were left out and fit one other place of it; 0 where they are too few to tell."""
     lost = [sighting for sighting in bundle.left_out if sighting.camera == camera]
-    if len(lost) < ELSEWHERE_IMAGES or not bundle.state.course.moves:
+    if len(lost) < ELSEWHERE_IMAGES:
         return 0
     state, lens = bundle.state, bundle.state.lenses[camera]
     times = state.rig_times(np.full(len(lost), camera), np.array([sighting.time_s for sighting in lost]))
