@@ -309,9 +309,7 @@ def test_a_camera_that_was_moved_or_whose_clock_was_set_half_way_is_named(fault:
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
-@pytest.mark.parametrize(
-    ("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place all along, found .* images")]
-)
+@pytest.mark.parametrize(("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place")])
 def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, by: float, told: str) -> None:
     """Split at the middle alone it was accepted, or all of its last images were left out: 100 mm off from then on."""
     places = around(3)

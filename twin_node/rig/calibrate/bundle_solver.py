@@ -118,7 +118,8 @@ def _misfit(bundle: BundleResult, noise_px: Float64) -> Float64:
     cameras = np.concatenate([np.full(len(s.corners), s.camera) for s in bundle.sightings])
     square = (np.concatenate(bundle.residuals) ** 2).sum(axis=1) / noise_px[cameras] ** 2
     count = len(noise_px)
-    return np.bincount(cameras, soft_l1(square), count) / np.maximum(np.bincount(cameras, minlength=count), 1)
+    mean = np.bincount(cameras, soft_l1(square), count) / np.maximum(np.bincount(cameras, minlength=count), 1)
+    return np.maximum(mean, np.finfo(float).tiny)  # a camera all of whose images were left out tells nothing
 
 
 def minimise(problem: BundleProblem, start: Look, kept: Bool, noise_px: Float64, enough: float = CONVERGED) -> Look:

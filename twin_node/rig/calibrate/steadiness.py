@@ -94,7 +94,7 @@ def _split(witnesses: Witnesses, camera: int, late: Bool) -> Split:
 
 
 def _elsewhere(bundle: BundleResult, camera: int) -> int:
-    """Images of a camera that were left out and fit one other place of it; 0 where they are too few to tell."""
+    """Its first or last images, where they were all left out and fit one other place; 0 where too few tell that."""
     lost = [sighting for sighting in bundle.left_out if sighting.camera == camera]
     if len(lost) < ELSEWHERE_IMAGES:
         return 0
@@ -122,7 +122,9 @@ def _elsewhere(bundle: BundleResult, camera: int) -> int:
         np.array([image.mean() > LEAST_SHARE for image in np.split(off < tolerance_px, ends)])
         for off in (np.linalg.norm(project(lens, transform(T, corners)).pixels - pixels, axis=1) for T in (here, there))
     )
-    agreeing = int((fits_there & ~fits_here).sum())
+    kept = [sighting.time_s for sighting in bundle.sightings if sighting.camera == camera]
+    alone = np.array([not min(kept) < sighting.time_s < max(kept) for sighting in lost])
+    agreeing = int((fits_there & ~fits_here & alone).sum())
     return agreeing if agreeing >= ELSEWHERE_IMAGES else 0
 
 
