@@ -153,6 +153,39 @@ def test_motion_gives_velocity_bound_and_expert() -> None:
     assert np.allclose(obstacles.velocities[~moving], 0)
 
 
+def test_each_of_two_things_has_its_own_velocity_bound_and_expert() -> None:
+    places = np.array([[-0.4, 0.35, 0.2], [-0.1, 0.65, 0.6]])
+    one, other = (occupancy(np.tile(place, (5, 1)), np.array([0])) for place in places)
+    both = replace(
+        one,
+        layers=tuple(
+            layer(mine.horizon_ns, np.concatenate([mine.indices, theirs.indices]))
+            for mine, theirs in zip(one.layers, other.layers, strict=True)
+        ),
+    )
+    velocities, experts = np.array([[0.5, 0, 0], [0, -0.3, 0]]), np.array([1, 2], np.uint8)
+    found = cover(both, motion=PartMotion(places, velocities, np.tile([0.03, 0.06], (5, 1)), experts))
+    moving = found.kinds == ObstacleKind.MOVING
+    whose = np.linalg.norm(found.positions[moving, None] - places, axis=-1).argmin(axis=1)
+    assert set(whose) == {0, 1}
+    np.testing.assert_array_equal(found.velocities[moving], velocities[whose])
+    np.testing.assert_array_equal(found.bounds[moving], np.array([0.03, 0.06])[whose])
+    assert found.experts is not None
+    np.testing.assert_array_equal(found.experts[moving], experts[whose])
+    assert (found.quats == [1, 0, 0, 0]).all()
+
+
+def test_obstacles_of_what_is_cut_short_are_those_of_before_where_they_are_nearly_as_good() -> None:
+    rng, dense = np.random.default_rng(3), np.zeros(GRID.dims, np.bool_)
+    for start in rng.integers(0, GRID.dims, (10, 3)):
+        dense[tuple(slice(first, first + side) for first, side in zip(start, rng.integers(1, 12, 3), strict=True))] = 1
+    far, few = np.full((5, 3), 100.0), CoverParameters(most_static=12)
+    first = cover(occupancy(far, np.flatnonzero(dense)), None, few)
+    dense[:3] = False
+    kept, anew = (cover(occupancy(far, np.flatnonzero(dense)), before, few) for before in (first, None))
+    assert np.isin(kept.ids, first.ids).mean() > np.isin(anew.ids, first.ids).mean()
+
+
 def test_bounds_are_those_inside_the_shapes() -> None:
     """An obstacle of an interval is as wide as the forecast at its end; what was seen is no forecast."""
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))

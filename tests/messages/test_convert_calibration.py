@@ -30,18 +30,28 @@ def test_cameras_survive() -> None:
     assert info.header.frame_id == "front_optical_frame"
     np.testing.assert_array_equal(info.p.reshape(3, 4)[:, :3], camera().K)
     assert_same(c.rig_camera(info, "front", camera().T_base_cam, 0.004), camera())
+    fisheye = replace(camera(), distortion_model="equidistant", D=np.array([0.1, -0.2, 0.01, 0.02]))
+    assert_same(c.rig_camera(sent(c.camera_info(fisheye, STAMP)), "front", fisheye.T_base_cam, 0.004), fisheye)
+
+
+@pytest.mark.parametrize("model", ["", "plumb_bob"])
+def test_a_camera_whose_images_are_straight_may_say_nothing_of_distortion(model: str) -> None:
+    """As simulators and drivers of rectified cameras do."""
+    info = replace(c.camera_info(camera(), STAMP), distortion_model=model, d=np.zeros(0))
+    found = c.rig_camera(sent(info), "front", np.eye(4))
+    assert (found.distortion_model, found.D.tolist()) == ("plumb_bob", [0.0] * 5)
 
 
 def test_binning_and_region_of_interest_keep_every_ray() -> None:
     info = c.camera_info(camera(), STAMP)
     info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 100, 50, 400, 300
-    info.binning_x = info.binning_y = 2
+    info.binning_x, info.binning_y = 2, 3
     fitted = c.rig_camera(info, "front", camera().T_base_cam)
-    assert (fitted.width, fitted.height) == (200, 150)
+    assert (fitted.width, fitted.height) == (200, 100)
     full = camera().K @ [0.1, -0.05, 1.0]
     binned = fitted.K @ [0.1, -0.05, 1.0]
     # pixel i of the binned region covers full pixels 100 + 2 i and 100 + 2 i + 1, its centre lies between theirs
-    np.testing.assert_allclose(binned[:2] * 2 + 0.5 + [100, 50], full[:2])
+    np.testing.assert_allclose(binned[:2] * [2, 3] + [0.5, 1] + [100, 50], full[:2])
 
 
 def test_rectified_images_were_seen_by_p_without_distortion() -> None:
@@ -101,15 +111,18 @@ def test_what_is_no_rotation_is_none_or_refused(R: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("roi", "binning", "words"),
     [
-        ((0, 0), 1000, "1000x1000 pixels of 640x480 make one; correct its binning"),
-        ((100, 80), 90, "90x90 pixels of 100x80 make one; correct its binning"),
-        ((70_000, 480), 1, "a region of 70000x480 of 640x480 pixels; correct its roi"),
+        ((0, 0), (641, 1), "641x1 pixels of 640x480 make one; correct its binning"),
+        ((100, 80), (90, 90), "90x90 pixels of 100x80 make one; correct its binning"),
+        ((70_000, 480), (1, 1), "a region of 70000x480 of 640x480 pixels; correct its roi"),
+        ((640, 481), (1, 1), "a region of 640x481 of 640x480 pixels; correct its roi"),
     ],
 )
-def test_regions_and_binning_that_leave_no_image_are_named(roi: tuple[int, int], binning: int, words: str) -> None:
+def test_regions_and_binning_that_leave_no_image_are_named(
+    roi: tuple[int, int], binning: tuple[int, int], words: str
+) -> None:
     info = c.camera_info(camera(), STAMP)
     info.roi.width, info.roi.height = roi
-    info.binning_x = info.binning_y = binning
+    info.binning_x, info.binning_y = binning
     with pytest.raises(MessageError, match=words):
         c.rig_camera(info, "front", np.eye(4))
 
@@ -130,6 +143,8 @@ def test_zeros_after_a_model_s_coefficients_are_left_out(model: str, count: int)
     ("changes", "words"),
     [
         ({"k": np.zeros(9)}, "no calibration"),
+        ({"k": np.array([600.0, 0, 320, 0, 0, 240, 0, 0, 1])}, "no calibration"),
+        ({"k": np.array([600.0, 0, np.nan, 0, 610, 240, 0, 0, 1])}, "no calibration"),
         ({"width": 0}, "images are 0x"),
         ({"height": 2**32 - 1}, "x4294967295; correct it, or give a rig file"),
         ({"distortion_model": "fisheye624"}, "distortion model 'fisheye624'"),
