@@ -49,11 +49,35 @@ def test_an_arm_that_brakes_for_a_second_still_means_to_go_on_as_fast() -> None:
     np.testing.assert_allclose(seen, THERE)
 
 
-def test_no_program_is_faster_than_the_arm_unless_the_arm_is() -> None:
+@pytest.mark.parametrize("way", [THERE, -THERE])
+def test_no_program_is_faster_than_the_arm_unless_the_arm_is(way: Float64) -> None:
     """Noise of an arm that hardly moves would count twenty times."""
     arm = Arm()
-    np.testing.assert_allclose(arm.run(1, 0.1, 10 * THERE), 3.14 * THERE)
-    np.testing.assert_allclose(arm.run(100, 1.0, 5 * THERE), 5 * THERE)
+    np.testing.assert_allclose(arm.run(1, 0.1, 10 * way), 3.14 * way)
+    np.testing.assert_allclose(arm.run(100, 1.0, 5 * way), 5 * way)
+
+
+@pytest.mark.parametrize("way", [THERE, -THERE])
+def test_an_arm_that_begins_more_slowly_than_tells_anything_later_means_to_go_at_full_speed(way: Float64) -> None:
+    """Taken for led by hand, it would be let go as fast as its program means to, beside whoever it closes in on."""
+    arm = Arm()
+    np.testing.assert_allclose(arm.run(1, 0.02, 3 * way), 3 * way)
+    noise = Arm()
+    np.testing.assert_allclose(noise.run(50, 0.02, 0.5 * way), 0.01 * way)
+    assert not noise.programmed.is_known
+    led = Arm().programmed
+    np.testing.assert_allclose(led.seen(0.3 * way, 0.0, NOW), 0.3 * way)
+
+
+@pytest.mark.parametrize("way", [THERE, -THERE])
+def test_a_program_that_slows_down_is_as_slow_but_an_arm_that_lags_at_a_crawl_is_not(way: Float64) -> None:
+    arm = Arm()
+    arm.run(100, 1.0, way)
+    np.testing.assert_allclose(arm.run(100, 0.5, 0.2 * way), 0.2 * way)
+    lagging = ProgrammedVelocity(0.005, np.full(6, 3.14))
+    for package, (share, velocity) in enumerate([(1.0, 1.0), *[(0.0, 0.0)] * 50, (0.04, 0.004)]):
+        seen = lagging.seen(velocity * way, share, NOW + package * PACKAGE_NS)
+    np.testing.assert_allclose(seen, way)
 
 
 @pytest.mark.parametrize("back_ns", [500_000_000, MINUTE_NS])

@@ -83,9 +83,12 @@ def test_a_program_that_is_paused_still_means_to_go_on(state: RuntimeState) -> N
 def test_a_program_that_has_ended_means_nothing_any_more(state: RuntimeState) -> None:
     program = Program()
     program.run([1.0] * 50, FIRST)
-    now = program.now + PACKAGE_NS
-    ahead = program.foresight.ahead(sample(runtime_state=state, target_qd=np.zeros(6)), now, now)
-    np.testing.assert_allclose(ahead.positions[-1], ahead.positions[0])
+    assert program.foresight.is_known
+    for told in (state, RuntimeState.PAUSED):  # another is loaded, which nobody has seen run
+        now = program.now = program.now + PACKAGE_NS
+        ahead = program.foresight.ahead(sample(runtime_state=told, target_qd=np.zeros(6)), now, now)
+        np.testing.assert_allclose(ahead.positions[-1], ahead.positions[0])
+        assert not program.foresight.is_known
 
 
 def test_a_scaling_beyond_one_makes_no_program_slower_than_it_is() -> None:
