@@ -52,6 +52,18 @@ def test_a_stop_reaches_the_slider_in_the_same_step_however_slow_the_arm_is() ->
     assert bench.link.speeds[-1] == 0.0
 
 
+def test_a_slider_that_is_not_to_move_is_set_ten_times_a_second_all_the_same() -> None:
+    """Nobody else's setting stays, and the controller is not flooded."""
+    bench = Bench()
+    bench.run(400)
+    before = len(bench.link.speeds)
+    bench.run(1000)
+    assert 9 <= len(bench.link.speeds) - before <= 11
+    bench.fraction = 0.998  # less than a package is worth
+    bench.run(64)
+    assert len(bench.link.speeds) - before <= 11
+
+
 def test_missing_forecasts_slow_within_one_deadline_and_stop_within_two() -> None:
     bench = Bench()
     bench.run(312)  # up to a decision
