@@ -44,11 +44,11 @@ def scene(seed: int, with_depth: bool) -> list[View]:
 
 
 def arm(index: int, sees_arm: bool) -> Bool | None:
-    """A bar that sweeps over the image, so that some pixels are met late."""
+    """A bar that waits and sweeps aside: some pixels are met late, beside a thing that has come there meanwhile."""
     if not sees_arm:
         return None
-    mask = np.zeros((HEIGHT, WIDTH), bool)
-    mask[:, max(50 - 2 * index, 0) : max(64 - 2 * index, 4)] = True
+    mask, swept = np.zeros((HEIGHT, WIDTH), bool), 2 * max(index - 18, 0)
+    mask[:, 50 + swept : 64 + swept] = True
     return mask
 
 
