@@ -7,7 +7,9 @@ import errno
 import multiprocessing
 import os
 import re
+import resource
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +19,8 @@ from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log, recording
+from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log, reader, recording
+from twin_node.bag.folder_metadata import FolderFile, write_metadata
 from twin_node.bag.latched import standing_before
 from twin_node.bag.qos import profile
 from twin_node.bag.repair import repair
@@ -196,6 +199,39 @@ def test_a_bag_whose_metadata_a_power_cut_has_taken_is_repaired(tmp_path: Path, 
     found = repair(tmp_path / "run", tmp_path / "whole")
     assert "its files are read by their numbers" in str(found.damage)
     assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
+
+
+@pytest.fixture
+def few_files() -> Iterator[int]:
+    """A process that may have fewer files open than is usual: so many."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    few = len(list(Path("/dev/fd").iterdir())) + 20
+    resource.setrlimit(resource.RLIMIT_NOFILE, (few, hard))
+    yield few
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_recording_of_more_files_than_a_process_may_open_is_read(tmp_path: Path, few_files: int) -> None:
+    """As after a night of files of a minute."""
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        fill(writer, 2)
+    (tmp_path / "run").mkdir()
+    names = [f"run_{number}.mcap" for number in range(few_files)]
+    for name in names:
+        (tmp_path / "run" / name).hardlink_to(tmp_path / "run.mcap")
+    write_metadata(tmp_path / "run", [FolderFile(name, 0, STEP, 2) for name in names], [])
+    assert len(stamps_of(tmp_path / "run")) == few_files
+
+
+def test_what_to_do_is_told_where_no_more_files_may_be_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        fill(writer, 2)
+    monkeypatch.setattr(reader, "_open_file", refuse)
+    with pytest.raises(BagError, match=r"Too many open files\); let a process have as many files open"):
+        open_log(tmp_path / "run.mcap")
 
 
 def test_what_is_there_of_a_bag_is_written_whole(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from rosbags.interfaces import Qos
 
-from twin_node.bag import mcap_records, sqlite_storage
+from twin_node.bag import mcap_records, open_files, sqlite_storage
 from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
 from twin_node.bag.folder_metadata import METADATA_FILE
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
@@ -230,7 +230,7 @@ def open_log(path: Path | str, *, unfinished: bool = False) -> LogReader:
     try:
         return _open_folder(path, unfinished) if path.is_dir() else _open_files(path, [path], {})
     except OSError as error:
-        raise BagError(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+        raise BagError(f"{path}: cannot be read ({error.strerror}); {open_files.advice(error)}") from None
 
 
 def _open_folder(folder: Path, unfinished: bool) -> LogReader:
@@ -346,6 +346,7 @@ def _open_files(
     lost: Sequence[str] = (),
 ) -> LogReader:
     """`lost`: a line for what else should be there."""
+    open_files.make_room(len(files))
     storages: list[Storage] = []
     refused: list[BagError] = []
     try:
