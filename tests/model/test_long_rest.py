@@ -114,8 +114,6 @@ def _sways(since: int, rgb: UInt8, depth: Float32) -> None:
     """Somebody in plain clothes who keeps still, as people do: by a pixel, once in four seconds."""
     rows, columns = PLACE
     rgb[PLACE] = (170, 60, 60)
-    depth[depth == 0] = FLOOR_M
-    depth[PLACE] = THING_M  # without holes, where what is even is taken for ground from its rim inward
     aside = 0.5 + 0.5 * np.sin(since * 2 * np.pi / 40)
     for edge, beside in ((columns.start, columns.start - 1), (columns.stop, columns.stop - 1)):
         rgb[rows, edge] = (1 - aside) * rgb[rows, edge] + aside * rgb[rows, beside]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from twin_node.model.ground_depth import LEARNING_RATE, GroundDepth
 from twin_node.scene import Bool, Float32, UInt8, View
 
 CHANGE_SIGMAS = 6.0
@@ -37,12 +38,6 @@ GROUND_AROUND = 0.85
 of the 5 x 5 pixels around it surely is, and its depth is known: alone among ground it would hold its neighbours."""
 GROWTH_PIXELS = 3
 """Rings of uncovered ground found per image; each ring is two pixels wide."""
-LEARNING_RATE = 0.05
-"""Share of each new image, and of its depth, that enters the background where it is free."""
-DEPTH_LEVELS = 0.02
-"""Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
-NEAR_M = 0.01
-"""Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
 
 
 class CameraMask:
@@ -51,15 +46,14 @@ class CameraMask:
     def __init__(self, view: View) -> None:
         self.shape = view.rgb.shape[:2]
         self.background = _planes(view.rgb)
-        self.depth = np.zeros(self.shape, np.float32) if view.depth is None else view.depth.astype(np.float32)
+        self.depth = GroundDepth(view)
         self.known = np.zeros(self.shape, np.bool_)  # False where nothing but the robot has been seen yet
         self.trusted = np.ones(self.shape, np.bool_)  # False where the background may show the moving thing itself
         self.confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
         self.mask = np.zeros(self.shape, np.bool_)
-        self.measured = np.zeros(self.shape, np.float32)  # by the newest image with depth
         self.still_ns = np.zeros(self.shape, np.float32)
         self.sigma = CHANGE_LEVELS / CHANGE_SIGMAS
-        self.bared = 0.0  # pixels of late that something moved off which had been there from the start; without depth
+        self.bared = 0.0  # pixels of late that something moved off which had been there from the start, unmeasured
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
         self.closing = _disk(max(1, round(GAP * min(self.shape))))
         self.colours = Colours()
@@ -71,36 +65,32 @@ class CameraMask:
         gain = _gain(image, self.background, seen & ~self.mask & self.known)
         self._meet(image / gain, view, seen & ~self.known)
         free = seen & ~self.mask
+        told = self.depth.look(view, view.stamp - self.past[-1][0], seen, free)
         settled = self._settled(image, view.stamp, free)
         threshold = max(CHANGE_LEVELS, CHANGE_SIGMAS * self.sigma)
         expected = self.background * gain
         difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
-        in_front = self._depth_in_front(view, seen)
-        moving = self._regions(np.where(self.trusted & seen, difference, 0), threshold) | in_front
+        moving = self._regions(np.where(self.trusted & seen, difference, 0), threshold) | told.in_front
         like_ground = difference < 0.5 * threshold
-        mask = moving | (self.mask & ~_eroded(self.trusted & like_ground))
+        mask = moving | (self.mask & ~_eroded(self.trusted & like_ground & ~told.lost))
         mask = (mask | self._unconfirmed_holes(mask)) & seen
-        told = self.depth > 0  # elsewhere nothing else would notice somebody of the ground's colours
-        freed = self.confirmed & told
-        self.trusted &= ~(mask & ~self.mask & ~freed & like_ground & ~self._come(view, in_front))
+        is_known = self.depth.known > 0  # elsewhere nothing else would notice somebody of the ground's colours
+        freed = self.confirmed & is_known
+        self.trusted &= ~(mask & ~self.mask & ~freed & like_ground & ~self.depth.come(view, told.in_front))
         object_ = self.confirmed & self.trusted & (difference > threshold)
-        settled &= mask & ~in_front
-        among_ground = settled & ~self.trusted & like_ground & told
+        measured = is_known & (self.depth.blind_ns < self.still_ns)  # since it looks as it does
+        settled &= mask & ~told.was_in_front & (measured | ~told.telling)
+        among_ground = settled & ~self.trusted & like_ground & is_known
         among_ground &= self._surrounded(seen & self.trusted & like_ground)
-        uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, threshold)
+        uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, measured, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
-        if not self.is_told:
-            self.bared = 0.98 * self.bared + np.count_nonzero(uncovered & self.trusted & (difference > threshold))
+        bared = uncovered & self.trusted & ~measured & (difference > threshold)
+        self.bared = 0.98 * self.bared + np.count_nonzero(bared)
         self.trusted |= uncovered
         self.mask = mask & ~uncovered
         self._learn(image / gain, view, seen & ~self.mask, uncovered)
         return self.mask.copy()
-
-    @property
-    def is_told(self) -> bool:
-        """Whether any depth is known: else colours alone must tell ground from somebody who stands there."""
-        return bool((self.depth > 0).any())
 
     def reference(self, stamp: int) -> Float32:
         """[3, H, W] the oldest image up to a baseline older than `stamp` (ns); the newest where there is none."""
@@ -119,8 +109,7 @@ class CameraMask:
             return
         self.known |= fresh
         self.background[:, fresh] = image[:, fresh]
-        if view.depth is not None:
-            self.depth[fresh] = view.depth[fresh]
+        self.depth.meet(view, fresh)
         doubtful = fresh & (cv2.dilate(self.mask.astype(np.uint8), self.closing) > 0)
         self.trusted &= ~doubtful
         self.mask |= doubtful
@@ -173,26 +162,6 @@ class CameraMask:
         closed: Bool = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self.closing)[margin:-margin, margin:-margin] > 0
         return closed
 
-    def _depth_in_front(self, view: View, seen: Bool) -> Bool:
-        """Where a measured surface stands in front of the background's."""
-        if view.depth is None:
-            return np.zeros(self.shape, np.bool_)
-        known = seen & (view.depth > 0) & (self.depth > 0)
-        near = known & self._is_before(view.depth, self.depth)
-        return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _disk(1)) > 0
-
-    def _come(self, view: View, in_front: Bool) -> Bool:
-        """Where what is `in_front` was not there in the image before: what only comes nearer may be the background."""
-        if view.depth is None:
-            return in_front
-        both = (self.measured > 0) & (view.depth > 0)
-        come = in_front & (~both | self._is_before(view.depth, self.measured))
-        return in_front & (cv2.dilate(come.astype(np.uint8), _disk(1)) > 0)
-
-    def _is_before(self, depth: Float32, other: Float32) -> Bool:
-        """Where one depth is clearly less than another, both known."""
-        return np.asarray(depth < other * (1 - DEPTH_LEVELS) - NEAR_M)
-
     def _surrounded(self, ground: Bool) -> Bool:
         """Pixels with enough ground among the 5 x 5 around them, or among as many of these as the image has."""
         counts = [
@@ -203,19 +172,25 @@ class CameraMask:
         return surrounded
 
     def _uncovered(
-        self, image: Float32, settled: Bool, free: Bool, found: Bool, object_: Bool, threshold: float
+        self,
+        image: Float32,
+        settled: Bool,
+        free: Bool,
+        found: Bool,
+        object_: Bool,
+        measured: Bool,
+        threshold: float,
     ) -> Bool:
         """`found`, and settled pixels that a thing, there from the start, has moved off: ground never seen before.
 
         They continue the free ground beside them, or have a colour of the ground around and not of moving things. Where
-        no depth is measured, colours alone must tell them from somebody who has come to rest: there they must also fit
+        it is not `measured`, colours alone must tell them from somebody who has come to rest: there they must also fit
         better than the background did, and what is doubted must be likely ground.
         """
         self.colours.learn(image, free, object_)
         if not settled.any():
             return found
-        is_told = self.is_told
-        unknown = 0.0 if is_told else 0.5
+        unknown = np.where(measured, np.float32(0), np.float32(0.5))
         share = self.colours.shares(image, unknown)
         likelier = share >= self.colours.shares(self.background, unknown)
         ground_coloured = settled & (share > GROUND_CERTAINTY)
@@ -232,29 +207,16 @@ class CameraMask:
             fits_better = likely_ground[box] & (was_rough > 2 * threshold) & better
             continues = (settled[box] & (rough < 0.6 * threshold)) | fits_better
             is_ground = continues | ground_coloured[box]
-            if not is_told:
-                is_ground &= np.where(self.trusted[box], better & likelier[box], likely_ground[box])
+            is_ground &= measured[box] | np.where(self.trusted[box], better & likelier[box], likely_ground[box])
             inside |= (weight > 0.2) & is_ground
         return found
 
     def _learn(self, image: Float32, view: View, free: Bool, uncovered: Bool) -> None:
-        """Draws the background towards the image where it is free, and takes what was uncovered at once.
-
-        Depth likewise: taken whole, it would go along with whatever comes at the camera, and keep every outlier. Where
-        none is known the first to be measured is taken, and at once what two images in a row find behind it: ground
-        that was hidden. What lies deeper is learnt behind what moves, too.
-        """
+        """Draws the background towards the image where it is free, and takes what was uncovered at once."""
         learning_rate = np.float32(LEARNING_RATE)
         rate = np.where(free, np.where(uncovered, np.float32(1), learning_rate), np.float32(0))
         self.background += rate * (image - self.background)
-        if view.depth is not None:
-            deeper = np.where(view.depth > self.depth, np.maximum(rate, learning_rate), rate)
-            share = np.where(self.depth == 0, free.astype(np.float32), deeper)
-            behind = np.minimum(view.depth, self.measured)
-            bared = (self.depth > 0) & (behind > self.depth * (1 + DEPTH_LEVELS) + NEAR_M)
-            drawn = self.depth + np.where(view.depth > 0, share * (view.depth - self.depth), np.float32(0))
-            self.depth = np.where(bared, behind, drawn)
-            self.measured = view.depth.astype(np.float32)
+        self.depth.learn(view, rate, free)
 
 
 class Colours:
@@ -270,10 +232,10 @@ class Colours:
         self.ground = 0.98 * self.ground + np.bincount(bins[ground], minlength=self.ground.size)
         self.moving = 0.98 * self.moving + np.bincount(bins[moving], minlength=self.moving.size)
 
-    def shares(self, image: Float32, unknown: float) -> Float32:
-        """[H, W] how probably a pixel of this colour is ground; `unknown` until moving things have been seen."""
+    def shares(self, image: Float32, unknown: Float32) -> Float32:
+        """[H, W] how probably a pixel of this colour is ground; `unknown` [H, W] until moving things have been seen."""
         if self.moving.sum() < 200:
-            return np.full(image.shape[1:], unknown, np.float32)
+            return unknown
         on_ground, on_moving = (_smooth(counts / max(counts.sum(), 1)) for counts in (self.ground, self.moving))
         share = on_ground / np.maximum(on_ground + on_moving, 1e-9)
         return share.astype(np.float32)[self._bins(image)]

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from twin_node.model.camera_mask import (
     CHANGE_LEVELS,
     CHANGE_SIGMAS,
-    DEPTH_LEVELS,
     GROUND_AROUND,
     GROUND_CERTAINTY,
     GROUND_LIKELIHOOD,
     GROWTH_PIXELS,
-    LEARNING_RATE,
     REFLECTION_BRIGHTEST,
     SETTLE_NS,
     SHADOW_DARKEST,
@@ -25,6 +23,7 @@ from twin_node.model.camera_mask import (
     CameraMask,
     seen_by,
 )
+from twin_node.model.ground_depth import DEPTH_LEVELS, LEARNING_RATE, LOST_NS, TELLING
 from twin_node.model.kernel_requests import MaskRequest, MaskRequests, MaskRules
 from twin_node.model.kernels import kernels
 from twin_node.native_library import address_of, addresses_of, array_of, thread_count
@@ -60,6 +59,7 @@ class _Call:
         self._sigma, self._bared = np.array([camera.sigma]), np.array([camera.bared])
         self._rules = _rules(camera.closing)
         last_stamp, last = camera.past[-1]
+        depth = camera.depth
         self._held: list[NDArray[np.generic] | None] = [
             cv2.GaussianBlur(view.rgb, (3, 3), 0),
             np.ascontiguousarray(seen_by(view, robot)),
@@ -67,14 +67,13 @@ class _Call:
             last,
             None if view.depth is None else np.ascontiguousarray(view.depth, dtype=np.float32),
             self._image,
-            *(camera.background, camera.depth, camera.measured, camera.still_ns),
+            *(camera.background, depth.known, depth.measured, depth.telling, depth.blind_ns, camera.still_ns),
             *(camera.known, camera.trusted, camera.confirmed, camera.mask),
             *(camera.colours.ground, camera.colours.moving, self._sigma, self._bared),
         ]
         height, width = camera.shape
-        self.request = MaskRequest(
-            width, height, view.stamp - last_stamp, pointer(self._rules), *addresses_of(*self._held)
-        )
+        sizes = (width, height, depth.is_silent(view), view.stamp - last_stamp)
+        self.request = MaskRequest(*sizes, pointer(self._rules), *addresses_of(*self._held))
 
     def end(self) -> Bool:
         """Takes over what the kernel has found; returns the mask."""
@@ -86,7 +85,8 @@ class _Call:
 def _rules(closing: NDArray[np.uint8]) -> MaskRules:
     return MaskRules(
         *(CHANGE_SIGMAS, CHANGE_LEVELS, SETTLE_NS, SMALLEST_AREA, SHADOW_DARKEST, REFLECTION_BRIGHTEST),
-        *(GROUND_CERTAINTY, GROUND_LIKELIHOOD, GROUND_AROUND, LEARNING_RATE, DEPTH_LEVELS),
+        *(GROUND_CERTAINTY, GROUND_LIKELIHOOD, GROUND_AROUND),
+        *(LEARNING_RATE, DEPTH_LEVELS, TELLING, LOST_NS),
         GROWTH_PIXELS,
         closing.shape[0] // 2,
         address_of(closing),

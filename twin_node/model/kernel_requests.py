@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 23
+INTERFACE_VERSION = 24
 
 
 class MaskRules(ctypes.Structure):
@@ -17,7 +17,7 @@ class MaskRules(ctypes.Structure):
         *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
         *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
         *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "ground_around")),
-        *((name, c_double) for name in ("learning_rate", "depth_levels")),
+        *((name, c_double) for name in ("learning_rate", "depth_levels", "telling", "lost_ns")),
         *((name, c_int32) for name in ("rings", "closing")),
         ("kernel", c_void_p),
     )
@@ -27,11 +27,11 @@ class MaskRequest(ctypes.Structure):
     """`model::MaskRequest`."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_int32) for name in ("width", "height", "is_silent")),
         ("elapsed_ns", c_float),
         ("rules", ctypes.POINTER(MaskRules)),
         *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
-        *((name, c_void_p) for name in ("background", "depth", "measured_last", "still_ns")),
+        *((name, c_void_p) for name in ("background", "depth", "measured_last", "telling", "blind_ns", "still_ns")),
         *((name, c_void_p) for name in ("known", "trusted", "confirmed", "mask")),
         *((name, c_void_p) for name in ("ground", "moving", "sigma", "bared")),
     )

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.model.camera_mask import CHANGE_LEVELS, CHANGE_SIGMAS, DEPTH_LEVELS, NEAR_M, CameraMask, seen_by
+from twin_node.model.camera_mask import CHANGE_LEVELS, CHANGE_SIGMAS, CameraMask, seen_by
+from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
 from twin_node.scene import Bool, Float32, View
 
 STANDS_NS = 20_000_000_000

@@ -7,12 +7,12 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 23;
+constexpr int32_t kInterfaceVersion = 24;
 
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
   double change_sigmas, change_levels, settle_ns, smallest_area, shadow_darkest, reflection_brightest;
-  double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels;
+  double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels, telling, lost_ns;
   int32_t rings;    // of uncovered ground that are found per image
   int32_t closing;  // radius of the kernel that closes gaps, pixels
   const uint8_t *kernel;  // [2 closing + 1, 2 closing + 1]
@@ -21,6 +21,7 @@ struct MaskRules {
 // One camera's next image, and all that is remembered of the ones before; that is brought up to date in place.
 struct MaskRequest {
   int32_t width, height;
+  int32_t is_silent;            // whether no depth has come for long
   float elapsed_ns;             // since the image before
   const MaskRules *rules;
   const uint8_t *smooth;        // [H, W, 3] the image, slightly smoothed
@@ -29,7 +30,9 @@ struct MaskRequest {
   const float *measured;        // [H, W] m, 0 where unknown, or null
   float *image;                 // [3, H, W] written: `smooth` as planes
   float *background, *depth;    // [3, H, W], [H, W] m and 0 where unknown
-  float *measured_last;         // [H, W] m, 0 where unknown: by the newest image with depth
+  float *measured_last;         // [H, W] m, 0 where unknown: by the newest image that measured it
+  float *telling;               // [H, W] share of the images of free ground that measured it
+  float *blind_ns;              // [H, W] since it was measured
   float *still_ns;              // [H, W]
   uint8_t *known, *trusted, *confirmed, *mask;  // [H, W]
   double *ground, *moving;      // [4096] how often each colour was free ground, and a moving thing

@@ -42,6 +42,7 @@ class MaskUpdate {
     gain_ = gain(background_, [&](int64_t at) { return r_.seen[at] && !r_.mask[at] && r_.known[at]; });
     expose();
     meet();
+    look_at_depth();
     find_settled();
     threshold_ = static_cast<float>(std::max(p_.change_levels, p_.change_sigmas * *r_.sigma));
     compare();
@@ -97,10 +98,28 @@ class MaskUpdate {
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
       for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
-      if (r_.measured != nullptr) r_.depth[at] = r_.measured[at];
+      if (r_.measured != nullptr) {
+        r_.depth[at] = r_.measured[at];
+        r_.telling[at] = r_.measured[at] > 0 ? 1.f : 0.f;
+      }
       if (!around[at]) continue;
       r_.trusted[at] = 0;
       r_.mask[at] = 1;
+    }
+  }
+
+  // How long each pixel has not been measured, and where ground is so often that the lack of it tells.
+  void look_at_depth() {
+    const float rate = static_cast<float>(p_.learning_rate), least = static_cast<float>(p_.telling);
+    const float lost_ns = static_cast<float>(p_.lost_ns);
+    tells_.resize(pixels_);
+    lost_.resize(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) {
+      const bool is_measured = r_.measured != nullptr && r_.measured[at] > 0, is_free = r_.seen[at] && !r_.mask[at];
+      r_.blind_ns[at] = is_measured ? 0.f : r_.blind_ns[at] + r_.elapsed_ns;
+      if (r_.measured != nullptr && is_free) r_.telling[at] += rate * ((is_measured ? 1.f : 0.f) - r_.telling[at]);
+      tells_[at] = !r_.is_silent && r_.telling[at] >= least;
+      lost_[at] = tells_[at] && r_.blind_ns[at] > lost_ns;
     }
   }
 
@@ -172,16 +191,23 @@ class MaskUpdate {
     return dilated(come.data(), r_.width, r_.height, kCross);
   }
 
-  // Where a measured surface stands in front of the background's.
+  // Where a measured surface stands in front of the background's, and where one did when something was measured last.
   void find_in_front() {
     in_front_.assign(pixels_, 0);
-    if (r_.measured == nullptr) return;
+    if (r_.measured != nullptr) in_front_ = before_ground([&](int64_t at) { return r_.measured[at]; });
+    was_in_front_ = before_ground([&](int64_t at) {
+      return r_.measured != nullptr && r_.measured[at] > 0 ? r_.measured[at] : r_.measured_last[at];
+    });
+  }
+
+  template <class Depth>
+  Mask before_ground(const Depth &depth_at) const {
     Mask near(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
-      const float measured = r_.measured[at], depth = r_.depth[at];
-      near[at] = r_.seen[at] && measured > 0 && depth > 0 && is_before(measured, depth);
+      const float depth = depth_at(at);
+      near[at] = r_.seen[at] && depth > 0 && r_.depth[at] > 0 && is_before(depth, r_.depth[at]);
     }
-    in_front_ = dilated(eroded(near, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
+    return dilated(eroded(near, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
   }
 
   Mask moving() const {
@@ -196,19 +222,19 @@ class MaskUpdate {
 
   bool like_ground(int64_t at) const { return difference_[at] < 0.5f * threshold_; }
 
-  // What moved stays, until it looks like ground, and so does ground that it encloses and that was never seen.
+  // What moved stays, until it looks like ground and no depth is missing; so does ground, never seen, that it encloses.
   void hold(Mask &mask) const {
     static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
     Mask ground(pixels_), hole(pixels_);
     const uint8_t *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask, *__restrict__ seen = r_.seen;
-    const uint8_t *__restrict__ confirmed = r_.confirmed;
+    const uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ lost = lost_.data();
     const float *__restrict__ apart = difference_.data(), likeness = 0.5f * threshold_;
     const int64_t end = pixels_;
     const auto over = [end](Mask &to, const auto &value) {
       uint8_t *__restrict__ out = to.data();
       for (int64_t at = 0; at < end; at++) out[at] = value(out[at], at);
     };
-    over(ground, [=](uint8_t, int64_t at) { return trusted[at] & (apart[at] < likeness); });
+    over(ground, [=](uint8_t, int64_t at) { return trusted[at] & (apart[at] < likeness) & (lost[at] ^ 1); });
     ground = eroded(ground, r_.width, r_.height, square);
     over(mask, [=, other = ground.data()](uint8_t is, int64_t at) { return is | (held[at] & (other[at] ^ 1)); });
     const Mask outline = closed(mask, r_.width, r_.height, closing_);
@@ -244,11 +270,6 @@ class MaskUpdate {
     }
   }
 
-  // Whether any depth is known: else colours alone must tell ground from somebody who stands there.
-  bool is_told() const {
-    return std::any_of(r_.depth, r_.depth + pixels_, [](float depth) { return depth > 0; });
-  }
-
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
   static int mirrored(int at, int size) {
     if (size == 1) return 0;
@@ -256,9 +277,15 @@ class MaskUpdate {
     return at;
   }
 
-  // Whether a settled pixel continues the ground around it, of which `known` is what is known. `shares` of colours.
-  bool continues(int64_t at, const Mask &known, const std::vector<float> &shares, bool told) const {
-    const float share = shares[bin_[at]];
+  // Whether ground is known there, and something has been measured since it looks as it does.
+  bool is_measured(int64_t at) const { return r_.depth[at] > 0 && r_.blind_ns[at] < r_.still_ns[at]; }
+
+  // Whether a settled pixel continues the ground around it, of which `known` is what is known. `shares` of colours, less
+  // than 0 while nothing is known of them. Where it is not measured, colours alone must tell it from somebody who
+  // stands there.
+  bool continues(int64_t at, const Mask &known, const std::vector<float> &shares) const {
+    const bool told = is_measured(at);
+    const float share = shares[bin_[at]] >= 0 ? shares[bin_[at]] : told ? 0.f : 0.5f;
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     constexpr int kSide = 2 * kAround + 1;
     float sums[3] = {0.f, 0.f, 0.f}, count = 0.f;
@@ -285,7 +312,7 @@ class MaskUpdate {
     if (!(rough < kAlike * threshold_ || fits || share > p_.ground_certainty)) return false;
     if (told) return true;
     if (!r_.trusted[at]) return likely;
-    return better && share >= shares[bin_of([&](int k) { return background_(k, at); })];
+    return better && shares[bin_[at]] >= shares[bin_of([&](int k) { return background_(k, at); })];
   }
 
   // Whether a background that is doubted is seen, its depth known, and nearly all pixels around show one that is not.
@@ -310,26 +337,25 @@ class MaskUpdate {
     Mask known(pixels_);
     for (int64_t at = 0; at < pixels_; at++) {
       known[at] = r_.seen[at] && !mask[at];
-      if (!settled_[at] || !mask[at] || in_front_[at]) continue;
+      if (!settled_[at] || !mask[at] || was_in_front_[at] || (tells_[at] && !is_measured(at))) continue;
       if (is_among_ground(at)) {
         known[at] = uncovered_[at] = 1;
       } else {
         open.push_back(at);
       }
     }
-    const bool told = is_told();
-    if (!told) *r_.bared *= kFading;
+    *r_.bared *= kFading;
     if (open.empty()) return;
-    const std::vector<float> shares = ground_shares(r_.ground, r_.moving, told ? 0.f : 0.5f);
+    const std::vector<float> shares = ground_shares(r_.ground, r_.moving, -1.f);
     for (int ring = 0; ring < p_.rings; ring++) {
       found.clear();
       std::vector<int64_t> left;
-      for (const int64_t at : open) (continues(at, known, shares, told) ? found : left).push_back(at);
+      for (const int64_t at : open) (continues(at, known, shares) ? found : left).push_back(at);
       for (const int64_t at : found) {
         known[at] = 1;
         const bool differs = difference_[at] > threshold_;
         uncovered_[at] = differs || !r_.trusted[at];
-        if (!told && differs && r_.trusted[at]) *r_.bared += 1;
+        if (differs && r_.trusted[at] && !is_measured(at)) *r_.bared += 1;
       }
       open.swap(left);
     }
@@ -356,8 +382,8 @@ class MaskUpdate {
     }
     for (int64_t at = 0; at < pixels_ && r_.measured != nullptr; at++) {
       const float measured = r_.measured[at], depth = r_.depth[at], behind = std::min(measured, r_.measured_last[at]);
-      r_.measured_last[at] = measured > 0 ? measured : 0.f;
       if (!(measured > 0)) continue;
+      r_.measured_last[at] = measured;
       if (depth > 0 && behind > depth * static_cast<float>(1 + p_.depth_levels) + static_cast<float>(kNearM)) {
         r_.depth[at] = behind;
         continue;
@@ -375,7 +401,8 @@ class MaskUpdate {
   const Kernel closing_;
   Gains gain_{};
   float threshold_ = 0;
-  Mask settled_, in_front_, uncovered_;
+  Mask settled_, in_front_, was_in_front_, uncovered_;
+  Mask tells_, lost_;  // where ground is measured, and of these where nothing has been for long
   std::vector<float> difference_, plain_;
   std::vector<uint16_t> bin_;  // of each pixel's colour
 };

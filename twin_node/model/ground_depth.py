@@ -1,0 +1,116 @@
+"""How deep the ground is that one camera sees, and where depth tells it from what stands on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from twin_node.scene import Bool, Float32, View
+
+LEARNING_RATE = 0.05
+"""Share of each new image, and of its depth, that enters the background where it is free."""
+DEPTH_LEVELS = 0.02
+"""Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
+NEAR_M = 0.01
+"""Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
+TELLING = 0.5
+"""Share of a pixel's images of ground in which its depth must have been measured for the lack of it to tell."""
+LOST_NS = 300_000_000
+"""What has not been measured for so long there is dark cloth or hair, not ground: by chance single images lack it."""
+SILENT_NS = 1_000_000_000
+"""A camera none of whose images has had depth for so long measures none."""
+_CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What depth tells of one image, each [H, W]."""
+
+    in_front: Bool
+    """A surface is measured in front of the ground."""
+    was_in_front: Bool
+    """One is, or was when something was measured last."""
+    telling: Bool
+    """Ground is measured there, and so what is not measured is not ground."""
+    lost: Bool
+    """Of these, where nothing has been measured for long."""
+
+
+class GroundDepth:
+    """One camera's ground, in arrays [H, W] that the compiled mask changes likewise."""
+
+    def __init__(self, view: View) -> None:
+        shape = view.rgb.shape[:2]
+        self.known = np.zeros(shape, np.float32) if view.depth is None else view.depth.astype(np.float32)  # m, or 0
+        self.measured = np.zeros(shape, np.float32)  # m, by the newest image that measured it
+        self.telling = np.zeros(shape, np.float32)  # share of the images of ground that measured it
+        self.blind_ns = np.zeros(shape, np.float32)  # since that image
+        self._stamp = self._seen_at = view.stamp
+
+    def is_silent(self, view: View) -> bool:
+        """Whether the camera has sent no depth for long; called once per image, in rising order of stamps."""
+        if view.depth is not None:
+            self._seen_at = view.stamp
+        return view.stamp - self._seen_at > SILENT_NS
+
+    def meet(self, view: View, fresh: Bool) -> None:
+        """Takes what is measured where pixels are seen for the first time."""
+        if view.depth is not None:
+            self.known[fresh] = view.depth[fresh]
+            self.telling[fresh] = view.depth[fresh] > 0
+
+    def look(self, view: View, elapsed_ns: int, seen: Bool, free: Bool) -> Told:
+        """What a view tells, `elapsed_ns` after the one before; learns how often what is `free` is measured."""
+        self.blind_ns += np.float32(elapsed_ns)
+        newest = self.measured
+        if view.depth is not None:
+            is_measured = view.depth > 0
+            self.blind_ns[is_measured] = 0
+            newest = np.where(is_measured, view.depth, newest)
+            self.telling += np.where(free, np.float32(LEARNING_RATE), np.float32(0)) * (is_measured - self.telling)
+        telling = (self.telling >= TELLING) & (not self.is_silent(view))
+        nothing = np.zeros_like(seen)
+        return Told(
+            in_front=nothing if view.depth is None else self._before_ground(view.depth, seen),
+            was_in_front=self._before_ground(newest, seen),
+            telling=telling,
+            lost=telling & (self.blind_ns > LOST_NS),
+        )
+
+    def come(self, view: View, in_front: Bool) -> Bool:
+        """Where what is `in_front` was not when measured before: what only comes nearer may be the background."""
+        if view.depth is None:
+            return in_front
+        both = (self.measured > 0) & (view.depth > 0)
+        come = in_front & (~both | is_before(view.depth, self.measured))
+        return in_front & (cv2.dilate(come.astype(np.uint8), _CROSS) > 0)
+
+    def learn(self, view: View, rate: Float32, free: Bool) -> None:
+        """Draws the ground towards what is measured, by a share `rate` [H, W], at most all of it where it is `free`.
+
+        Taken whole it would go along with whatever comes at the camera, and keep every outlier. Where none is known
+        the first to be measured is taken, and at once what is found behind it twice in a row: ground that was hidden.
+        What lies deeper is learnt behind what moves, too.
+        """
+        if view.depth is None:
+            return
+        is_measured = view.depth > 0
+        deeper = np.where(view.depth > self.known, np.maximum(rate, np.float32(LEARNING_RATE)), rate)
+        share = np.where(self.known == 0, free.astype(np.float32), deeper)
+        behind = np.minimum(view.depth, self.measured)
+        bared = is_measured & (self.known > 0) & (behind > self.known * (1 + DEPTH_LEVELS) + NEAR_M)
+        drawn = self.known + np.where(is_measured, share * (view.depth - self.known), np.float32(0))
+        self.known = np.where(bared, behind, drawn)
+        self.measured = np.where(is_measured, view.depth, self.measured).astype(np.float32)
+
+    def _before_ground(self, depth: Float32, seen: Bool) -> Bool:
+        """[H, W] where a depth is clearly less than the ground's; single pixels are noise."""
+        near = seen & (depth > 0) & (self.known > 0) & is_before(depth, self.known)
+        return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _CROSS) > 0
+
+
+def is_before(depth: Float32, other: Float32) -> Bool:
+    """Where one depth is clearly less than another, both known."""
+    return np.asarray(depth < other * (1 - DEPTH_LEVELS) - NEAR_M)
