@@ -14,6 +14,7 @@ from twin_node.forecast.backdrops import UNMEASURED, UNSEEN, revised, revised_re
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.sights import CarvingParameters, Look, sight_reference, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable
+from twin_node.forecast.verdicts import MOVING
 from twin_node.scene import Bool, Float32, Grid, View
 
 pytestmark = pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
@@ -83,3 +84,20 @@ def test_compiled_backdrops_are_the_plain_ones(seed: int) -> None:
     one, other = revised(*given_), revised_reference(*given_)
     assert np.array_equal(one.kept, other.kept)
     assert np.array_equal(one.filled, other.filled)
+
+
+@pytest.mark.parametrize("is_measured", [False, True])
+def test_what_is_measured_beside_a_thin_thing_that_is_not_frees_nothing_there(is_measured: bool) -> None:
+    """A dark forearm far away, two pixels wide; where it is measured, a pixel without depth frees what is before it."""
+    camera = replace(RIG[0], width=30, height=20)
+    arm, behind = np.zeros((20, 30), bool), np.full((20, 30), 2, np.float32)
+    arm[5:15, 12:14] = True
+    depth = np.where(arm, np.float32(1.5 if is_measured else 0), behind)
+    depth[8, 12] = 0
+    view = View(camera, 0, np.zeros((20, 30, 3), np.uint8), depth)
+    look = Look(CameraTable(camera, BLOCKS), view, arm, None, behind, 0.7)
+    for sight in (*sights_of([look], CarvingParameters()), sight_reference(look, CarvingParameters())):
+        free = sight.free_until[:-1].reshape(20, 30)
+        assert free[arm] == pytest.approx(1.47 if is_measured else 0)
+        assert (free[~arm] > 1.9).all()
+        assert bool(sight.flags[8 * 30 + 12] & MOVING)

@@ -25,6 +25,8 @@ _SLANT_M = 0.05
 """By how much a surface's depth may differ within the error of calibration, m."""
 _SPECK = 4
 """Pixels; what so few show to stand out is noise of their depth, and would be grown as a thing."""
+_MEASURED_WITHIN = 2
+"""Pixels; an unmeasured one that moves is a hole in what is measured so near, else of a thing that is not measured."""
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 48.0)
 """Radii in pixels that widths in the image are told apart by."""
 
@@ -91,7 +93,7 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
             camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses_of(*arrays)
         )
     p, radii = parameters, np.array(_RADII)
-    counts = (len(looks), thread_count(), len(radii), _SPECK)
+    counts = (len(looks), thread_count(), len(radii), _SPECK, _MEASURED_WITHIN)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
     compiled.run(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
     return sights
@@ -122,14 +124,18 @@ def sight_reference(look: Look, parameters: CarvingParameters) -> Sight:
     seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
     blind = ~seen if robot is None else ~seen | robot
     widened = _dilate(moving, error_pixels)
-    free_image = _free_until(view, widened | blind, ~seen, error_pixels, parameters)
-    blunt = widened & ~blind if view.depth is None else widened & ~blind & (view.depth == 0)
+    found = None if look.backdrop is None else _found(view, moving, blind, look.backdrop, parameters)
+    blank = np.zeros_like(moving) if found is None else _blank(view, moving, blind, found)
+    free_image = _free_until(view, widened | blind, ~seen | blank, error_pixels, parameters)
+    blunt = widened & ~blind
+    if view.depth is not None:
+        blunt &= (view.depth == 0) | _dilate(blank, error_pixels)
     flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
     if robot is not None:
         flags += (robot & seen) * ROBOT
     surface = None
-    if look.backdrop is not None:
-        surface = _surface(view, moving, blind, look.backdrop, parameters, error_pixels)
+    if look.backdrop is not None and found is not None:
+        surface = _surface(view, moving, blind, found, look.backdrop, parameters, error_pixels)
     return Sight(
         look.table,
         free_until=np.append(free_image, _NEVER),
@@ -152,8 +158,31 @@ def _free_until(view: View, hidden: Bool, unseen: Bool, error_pixels: float, par
     return cv2.erode(free, _disk(error_pixels)).astype(np.float32) if error_pixels >= 1 else free
 
 
+def _found(view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters) -> Bool:
+    """[H, W] where a view with depth measures something that moves, in front of what stands."""
+    assert view.depth is not None
+    stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
+    return _without_specks(moving & ~blind & (view.depth > 0) & stands_out)
+
+
+def _blank(view: View, moving: Bool, blind: Bool, found: Bool) -> Bool:
+    """[H, W] where something moves that is not measured there nor around: dark, or too thin.
+
+    What is measured beside it is what stands behind: it must free nothing there.
+    """
+    assert view.depth is not None
+    near = cv2.dilate(found.astype(np.uint8), np.ones((2 * _MEASURED_WITHIN + 1,) * 2, np.uint8)) > 0
+    return np.asarray(moving & ~blind & (view.depth == 0) & ~near)
+
+
 def _surface(
-    view: View, moving: Bool, blind: Bool, backdrop: Float32, parameters: CarvingParameters, error_pixels: float
+    view: View,
+    moving: Bool,
+    blind: Bool,
+    found: Bool,
+    backdrop: Float32,
+    parameters: CarvingParameters,
+    error_pixels: float,
 ) -> Surface:
     """The moving surface of a view with depth, widened by the calibration's error.
 
@@ -165,8 +194,6 @@ def _surface(
     thickness = np.minimum(parameters.thickness, parameters.thickness_share * width + parameters.depth_margin)
     front = view.depth * (1 - parameters.depth_share) - parameters.depth_margin
     back = np.minimum(view.depth + thickness, backdrop + parameters.depth_margin)
-    stands_out = view.depth < backdrop * (1 - parameters.depth_share) - parameters.depth_margin
-    found = _without_specks(moving & ~blind & (view.depth > 0) & stands_out)
     kernel = _disk(error_pixels)
     begin = cv2.erode(np.where(found, front, _ALWAYS).astype(np.float32), kernel)
     end = cv2.dilate(np.where(found, back, _NEVER).astype(np.float32), kernel)

@@ -26,11 +26,13 @@ class Look {
   void write() const {
     std::vector<uint8_t> widened = moving_;
     spread_over<Greatest>(widened, v_.width, v_.height, patch_, uint8_t{0});
-    write_flags(widened);
     if (v_.depth) {
-      write_free_until();
-      write_surface();
+      const std::vector<uint8_t> found = standing_out(), blank = unmeasured(found);
+      write_flags(widened, blank);
+      write_free_until(blank);
+      write_surface(found);
     } else {
+      write_flags(widened, {});
       for (size_t i = 0; i < size_; i++) v_.free_until[i] = widened[i] | blind_[i] ? kNever : kAlways;
     }
     v_.free_until[size_] = kNever;
@@ -39,7 +41,7 @@ class Look {
  private:
   using Depths = std::vector<float>;
 
-  void write_flags(const std::vector<uint8_t> &widened) const {
+  void write_flags(const std::vector<uint8_t> &widened, std::vector<uint8_t> blank) const {
     const uint8_t *wide = widened.data(), *moving = moving_.data(), *seen = seen_.data(), *blind = blind_.data();
     uint8_t *flags = v_.flags;
 #pragma omp simd
@@ -48,8 +50,10 @@ class Look {
       flags[i] = is_blunt * kMoving | seen[i] * kSeen | is_beside * kBeside;
     }
     if (const float *depth = v_.depth) {
+      spread_over<Greatest>(blank, v_.width, v_.height, patch_, uint8_t{0});
+      const uint8_t *beside = blank.data();
 #pragma omp simd
-      for (size_t i = 0; i < size_; i++) flags[i] &= depth[i] == 0.0f ? kAll : kAll & ~kMoving;
+      for (size_t i = 0; i < size_; i++) flags[i] &= (depth[i] == 0.0f) | beside[i] ? kAll : kAll & ~kMoving;
     }
     for (size_t i = 0; v_.robot && i < size_; i++) flags[i] |= (v_.robot[i] & seen[i]) * kRobot;
     flags[size_] = 0;
@@ -65,11 +69,20 @@ class Look {
     return fronts;
   }
 
-  void write_free_until() const {
+  // What moves and is measured neither there nor around: dark, or too thin. What is measured beside it is what stands
+  // behind, and must free nothing there.
+  std::vector<uint8_t> unmeasured(const std::vector<uint8_t> &found) const {
+    std::vector<uint8_t> near = found, blank(size_);
+    spread_over<Greatest>(near, v_.width, v_.height, Patch::square(r_.measured_within), uint8_t{0});
+    for (size_t i = 0; i < size_; i++) blank[i] = moving_[i] & (blind_[i] ^ 1) & (v_.depth[i] == 0.0f) & (near[i] ^ 1);
+    return blank;
+  }
+
+  void write_free_until(const std::vector<uint8_t> &blank) const {
     Depths free = fronts();
     float *own = free.data();
     const float *depth = v_.depth;
-    const uint8_t *seen = seen_.data();
+    const uint8_t *seen = seen_.data(), *shows_nothing = blank.data();
 #pragma omp simd
     for (size_t i = 0; i < size_; i++) own[i] = depth[i] > 0 ? own[i] : kAlways;
     Depths nearest = free;  // single pixels lack depth everywhere
@@ -78,7 +91,7 @@ class Look {
 #pragma omp simd
     for (size_t i = 0; i < size_; i++) {
       const float around = near[i] < kAlways ? near[i] : kNever;
-      own[i] = !seen[i] ? kNever : depth[i] > 0 ? own[i] : around;
+      own[i] = !seen[i] | shows_nothing[i] ? kNever : depth[i] > 0 ? own[i] : around;
     }
     spread_over<Least>(free, v_.width, v_.height, patch_, kFarthest);
     std::copy(free.begin(), free.end(), v_.free_until);
@@ -147,10 +160,9 @@ class Look {
   }
 
   // The moving surface, widened by the calibration's error.
-  void write_surface() const {
+  void write_surface(const std::vector<uint8_t> &found) const {
     std::vector<uint8_t> hidden(size_);
     for (size_t i = 0; i < size_; i++) hidden[i] = moving_[i] | blind_[i];
-    const std::vector<uint8_t> found = standing_out();
     const std::vector<double> back = backs(radii_within(hidden));
     const Depths front = fronts();
     Depths begin(size_), end(size_);
