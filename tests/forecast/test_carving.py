@@ -347,3 +347,15 @@ def test_a_camera_without_depth_frees_its_rays_up_to_what_is_known_to_stand() ->
     assert carver.carve(state, 0.0).unknown.holds(behind).all(), "as for the state before"
     assert not carver.carve(state, 0.0, Opaque(wall[:0])).unknown.holds(behind).any()
     assert not carver.carve(state, 0.0, Opaque(wall, 0.5)).unknown.holds(behind).any(), "it may lie behind that"
+
+
+def test_a_camera_without_depth_does_not_see_past_what_another_measures_to_move() -> None:
+    """It has taken somebody who keeps still for ground."""
+    measured, flat = (state_of(0, CENTER, cameras=(one,), with_depth=one is RIG[0]) for one in RIG[:2])
+    frames = FrameSet(0, (*measured.frames.views, *flat.frames.views))
+    nothing = np.zeros((HEIGHT, WIDTH), np.bool_)
+    state = replace(measured, frames=frames, moving_masks=(*measured.moving_masks, nothing), robot_masks=(None, None))
+    alone, both = carve(measured).may_move.indices(), carve(state).may_move.indices()
+    front = alone[np.linalg.norm(GRID.centers(alone) - RIG[0].T_base_cam[:3, 3], axis=1) < 2.01]
+    assert len(front) > 20
+    assert np.isin(front, both).mean() > 0.9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable, RigTables
+from twin_node.forecast.unprojection import unproject
 from twin_node.forecast.verdicts import Carved, Sight, carved
 from twin_node.scene import Bool, Camera, Float32, TwinState, View
 
@@ -83,14 +85,32 @@ class Carver:
             backdrop = None if view.depth is None else self._backdrops.of(view)
             looks.append(Look(table, view, moving, robot, backdrop, pixels))
         sights = sights_of(looks, self.parameters)
-        for look, sight in zip(looks, sights, strict=True):
-            if look.view.depth is None:
-                self._end_before_what_stands(look, sight)
+        flat = [(look, sight) for look, sight in zip(looks, sights, strict=True) if look.view.depth is None]
+        moving = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
+        for look, sight in flat:
+            self._end_before(moving, look, sight)
         return sights
 
-    def _end_before_what_stands(self, look: Look, sight: Sight) -> None:
-        """Lets a view without depth free nothing behind what is known to stand: it does not measure how far it sees."""
-        known = np.minimum(self._fronts.of(look.table), self._backdrops.of(look.view)).ravel()
+    def _measured_to_move(self, looks: Sequence[Look], sights: Sequence[Sight]) -> NDArray[np.int64]:
+        """Flat indices [n] of the voxels in which views with depth measure what moves."""
+        points = [np.zeros((0, 3), np.float32)]
+        for look, sight in zip(looks, sights, strict=True):
+            if sight.surface is not None and look.view.depth is not None:
+                depth = look.view.depth.ravel()
+                within = (sight.surface.begin[:-1] <= depth) & (depth < sight.surface.end[:-1])
+                points.append(unproject(look.view, look.moving & within.reshape(look.moving.shape)))
+        found = self._blocks.grid.indices(np.concatenate(points))
+        return np.unique(found[found >= 0])
+
+    def _end_before(self, moving: NDArray[np.int64], look: Look, sight: Sight) -> None:
+        """Lets a view without depth free nothing behind what is known to stand, nor behind what is measured to move.
+
+        It does not measure how far it sees, and may take who keeps still for ground. `moving` [n]: flat indices.
+        """
+        known = np.minimum(self._fronts.of(look.table), self._backdrops.of(look.view))
+        if len(moving):
+            known = np.minimum(known, look.table.fronts_of(self._blocks.locate(moving)))
+        known = known.ravel()
         fronts = known * np.float32(1 - self.parameters.depth_share) - np.float32(self.parameters.depth_margin)
         freed = sight.free_until[:-1]
         np.minimum(freed, np.where(known > 0, fronts, freed), out=freed)

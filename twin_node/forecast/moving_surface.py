@@ -12,7 +12,7 @@ from twin_node.forecast.kernels import Kernels, kernels
 from twin_node.forecast.margin import Margin
 from twin_node.forecast.part_requests import SurfaceRequest, SurfaceView
 from twin_node.forecast.parts import Parts
-from twin_node.forecast.static import unproject
+from twin_node.forecast.unprojection import unproject
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, View
 

@@ -6,7 +6,6 @@ import functools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +13,10 @@ from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import MarkRequest
 from twin_node.forecast.kernels import kernels
+from twin_node.forecast.unprojection import FINER, from_middle, unproject
 from twin_node.native_library import addresses_of
 from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
-from twin_node.scene import Bool, Float32, Grid, OccupancyLayer, Tier, TwinState, View
+from twin_node.scene import Bool, Grid, OccupancyLayer, Tier, TwinState, View
 
 GUESSED_M = 0.13
 """How far behind a Gaussian what it stands for may lie where no camera measures, m: places are guesses there."""
@@ -106,7 +106,7 @@ def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
         np.ascontiguousarray(grid.origin, np.float64),
         np.ascontiguousarray(view.depth, np.float32),
         np.ascontiguousarray(where, np.bool_),
-        *(_from_middle(np.arange(size * FINER), center) for size, center in ((width, K[0, 2]), (height, K[1, 2]))),
+        *(from_middle(np.arange(size * FINER), center) for size, center in ((width, K[0, 2]), (height, K[1, 2]))),
         K[[0, 1], [0, 1]].astype(np.float32),
         np.ascontiguousarray(T[:3], np.float32),
         marked,
@@ -119,24 +119,3 @@ def mark_reference(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
     """What `mark` does."""
     found = grid.indices(unproject(view, where))
     marked[found[found >= 0]] = True
-
-
-FINER = 3
-"""Points along each side of a pixel: where a surface is seen at a slant, pixels are wider than voxels."""
-
-
-def unproject(view: View, where: NDArray[np.bool_], finer: int = FINER) -> Float32:
-    """Base-frame points [n, 3] (m) of the pixels in `where` [H, W] of a view with depth: `finer`^2 all over each."""
-    assert view.depth is not None
-    fine = cv2.resize(where.astype(np.uint8), None, fx=finer, fy=finer, interpolation=cv2.INTER_NEAREST)
-    rows, columns = np.nonzero(fine)
-    z = view.depth[rows // finer, columns // finer]
-    K, T = view.camera.K, view.camera.T_base_cam
-    x = _from_middle(columns, K[0, 2], finer) * z / np.float32(K[0, 0])
-    y = _from_middle(rows, K[1, 2], finer) * z / np.float32(K[1, 1])
-    return np.stack([R[0] * x + R[1] * y + R[2] * z + R[3] for R in T[:3].astype(np.float32)], axis=1)
-
-
-def _from_middle(places: NDArray[np.int64], center: float, finer: int = FINER) -> Float32:
-    """Pixels [n] from `center` along an axis to points numbered `finer` to a pixel."""
-    return ((places + 0.5) / finer - center).astype(np.float32)
