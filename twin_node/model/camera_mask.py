@@ -53,7 +53,7 @@ class CameraMask:
         self.mask = np.zeros(self.shape, np.bool_)
         self.still_ns = np.zeros(self.shape, np.float32)
         self.sigma = CHANGE_LEVELS / CHANGE_SIGMAS
-        self.bared = 0.0  # pixels of late that something moved off which had been there from the start, unmeasured
+        self.bared = 0.0  # pixels of late that something moved off which had been there from the start; without depth
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
         self.closing = _disk(max(1, round(GAP * min(self.shape))))
         self.colours = Colours()
@@ -85,8 +85,8 @@ class CameraMask:
         uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, measured, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
-        bared = uncovered & self.trusted & ~measured & (difference > threshold)
-        self.bared = 0.98 * self.bared + np.count_nonzero(bared)
+        if not self.depth.is_told:
+            self.bared = 0.98 * self.bared + np.count_nonzero(uncovered & self.trusted & (difference > threshold))
         self.trusted |= uncovered
         self.mask = mask & ~uncovered
         self._learn(image / gain, view, seen & ~self.mask, uncovered)

@@ -49,6 +49,11 @@ class GroundDepth:
         self.blind_ns = np.zeros(shape, np.float32)  # since that image
         self._stamp = self._seen_at = view.stamp
 
+    @property
+    def is_told(self) -> bool:
+        """Whether any depth is known: else colours alone must tell ground from somebody who stands there."""
+        return bool((self.known > 0).any())
+
     def is_silent(self, view: View) -> bool:
         """Whether the camera has sent no depth for long; called once per image, in rising order of stamps."""
         if view.depth is not None:

@@ -270,6 +270,11 @@ class MaskUpdate {
     }
   }
 
+  // Whether any depth is known: else colours alone must tell ground from somebody who stands there.
+  bool is_told() const {
+    return std::any_of(r_.depth, r_.depth + pixels_, [](float depth) { return depth > 0; });
+  }
+
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
   static int mirrored(int at, int size) {
     if (size == 1) return 0;
@@ -344,7 +349,8 @@ class MaskUpdate {
         open.push_back(at);
       }
     }
-    *r_.bared *= kFading;
+    const bool told = is_told();
+    if (!told) *r_.bared *= kFading;
     if (open.empty()) return;
     const std::vector<float> shares = ground_shares(r_.ground, r_.moving, -1.f);
     for (int ring = 0; ring < p_.rings; ring++) {
@@ -355,7 +361,7 @@ class MaskUpdate {
         known[at] = 1;
         const bool differs = difference_[at] > threshold_;
         uncovered_[at] = differs || !r_.trusted[at];
-        if (differs && r_.trusted[at] && !is_measured(at)) *r_.bared += 1;
+        if (!told && differs && r_.trusted[at]) *r_.bared += 1;
       }
       open.swap(left);
     }
