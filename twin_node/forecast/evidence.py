@@ -15,6 +15,7 @@ from twin_node.forecast.carving import Carver
 from twin_node.forecast.concealing import concealed
 from twin_node.forecast.hiding import Hidden, HidingPlaces
 from twin_node.forecast.landing import floors_of
+from twin_node.forecast.lone import LoneSights
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.nearest import nearest_one
 from twin_node.forecast.neighbours import Closest, closest
@@ -65,6 +66,8 @@ class Evidence:
     """Found out meanwhile, for no forecast depends on it."""
     resting: NDArray[np.int64]
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
+    has_lone_sights: bool
+    """Whether a camera without depth alone shows something move (`LoneSights`)."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,7 @@ class Observer:
         self._side_thread = SideThread(patience_s=_PATIENCE_S)
         self._task: Task[Unseen] | None = None
         self._resting = Resting(self.grid)
+        self._lone = LoneSights(self.tables)
         self._standing: _Standing | None = None
         self._unseen = Bits.none(self.grid.dims)
         self._last_centers = np.zeros((0, 3))
@@ -142,6 +146,7 @@ class Observer:
             near=near,
             unseen=behind,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
+            has_lone_sights=self._lone.update(state, parts.indices, hiding),
         )
 
     def _carve(self, state: TwinState) -> Carved:

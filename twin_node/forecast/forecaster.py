@@ -174,7 +174,7 @@ class Forecaster:
             self._tracks, self._anew_at, self._begins_anew = Tracks(), state.stamp, False
         has_depth = any(view.depth is not None for view in state.frames.views)
         is_told_apart = has_depth or len(state.frames.views) >= WITNESSES
-        alone = not is_told_apart and any(mask.any() for mask in state.moving_masks)
+        alone = (not is_told_apart and any(mask.any() for mask in state.moving_masks)) or evidence.has_lone_sights
         told = ((paused and evidence.parts.count > 0, _PAUSED), (alone, _ALONE))
         self._warnings = tuple(line for is_so, line in told if is_so)
         if has_depth:
@@ -289,8 +289,9 @@ _PAUSED = (
     "forecast: nothing is known of how things move after a pause in the images: worst case for them, tracks begun anew"
 )
 _ALONE = (
-    "forecast: one camera without depth shows that something moves, and not how far away: all along its lines of sight "
-    "space is unknown, and where it will be is not foreseen; add a camera, or one that measures depth"
+    "forecast: one camera without depth alone shows that something moves, and not how far away: all along its lines of "
+    "sight space is unknown, and where it will be is not foreseen; let a second camera see there, or one that measures "
+    "depth"
 )
 _NEVER = np.iinfo(np.int64).min // 2
 _NOWHERE = 1e6

@@ -1,0 +1,52 @@
+"""What one camera without depth alone sees move is a warning, wherever other cameras look."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, state_of
+
+from twin_node.forecast import Forecaster
+from twin_node.forecast.lone import FRESH_NS
+from twin_node.scene import FrameSet, TwinState
+
+STEP_NS = 33_000_000
+
+
+def state(tick: int, y: float, blind: tuple[int, ...], measuring: tuple[int, ...] = ()) -> TwinState:
+    """A ball at `y` m, which the `blind` ones of three cameras do not show: nothing at all of where it is."""
+    seen = [
+        state_of(tick * STEP_NS, np.array([0.0, y, 0.45]), 0.15, (one,), n in measuring)
+        for n, one in enumerate(RIG[:3])
+    ]
+    views = [one.frames.views[0] for one in seen]
+    masks = [one.moving_masks[0] for one in seen]
+    for number in blind:
+        views[number] = replace(views[number], valid=np.zeros((HEIGHT, WIDTH), np.bool_))
+        masks[number] = np.zeros((HEIGHT, WIDTH), np.bool_)
+    frames = FrameSet(tick * STEP_NS, tuple(views))
+    return replace(seen[0], frames=frames, moving_masks=tuple(masks), robot_masks=(None,) * 3)
+
+
+def told(states: list[TwinState]) -> list[bool]:
+    forecaster, found = Forecaster(GRID), []
+    for one in states:
+        forecaster.update(one, one.stamp + STEP_NS)
+        found.append(any("alone shows" in line for line in forecaster.quality.warnings))
+    return found
+
+
+@pytest.mark.parametrize("measuring", [(), (2,)])
+def test_who_comes_in_before_one_camera_alone_is_a_warning_until_another_sees_them(measuring: tuple[int, ...]) -> None:
+    alone = [state(tick, 0.05 * tick - 0.3, (1, 2), measuring) for tick in range(10)]
+    found = told([*alone, *(state(tick, 0.05 * tick - 0.3, (), measuring) for tick in range(10, 14))])
+    assert all(found[4:10])
+    assert not any(found[11:])
+
+
+def test_what_keeps_still_is_none_nor_what_a_camera_measures() -> None:
+    still = 4 + FRESH_NS // STEP_NS
+    assert not any(told([state(tick, 0.1, (1, 2)) for tick in range(2 * still)])[still:])
+    assert not any(told([state(tick, 0.05 * tick - 0.3, (1, 2), (0,)) for tick in range(10)]))
