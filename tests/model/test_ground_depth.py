@@ -138,3 +138,15 @@ def test_a_camera_whose_depth_ends_goes_on_without() -> None:
     for left in (*(20 * (WIDTH,)), *range(-24, WIDTH, 4), *(5 * (WIDTH,))):
         found = scene.show(left, has_depth=False)
     assert not found.any()
+
+
+def test_ground_that_is_not_measured_is_free_once_a_measured_thing_has_left_it() -> None:
+    """A crate from a black mat: the lack of depth tells nothing where the ground around has none."""
+
+    def mat(depth: Float32, shape: Bool, rng: np.random.Generator) -> None:
+        depth[:, 20:70][~shape[:, 20:70]] = 0
+
+    scene = Scene(mat, ORANGE)
+    for left in (*(10 * (30,)), *range(30, WIDTH, 4), *(10 * (WIDTH,))):
+        found = scene.show(left)
+    assert share(found, body(30)) < 0.1

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from twin_node.model.ground_depth import LEARNING_RATE, GroundDepth
+from twin_node.model.ground_depth import LEARNING_RATE, TELLING, GroundDepth
 from twin_node.scene import Bool, Float32, UInt8, View
 
 CHANGE_SIGMAS = 6.0
@@ -79,16 +79,22 @@ class CameraMask:
         self.trusted &= ~(mask & ~self.mask & ~freed & like_ground & ~self.depth.come(view, told.in_front))
         object_ = self.confirmed & self.trusted & (difference > threshold)
         measured = is_known & (self.depth.blind_ns < self.still_ns)  # since it looks as it does
-        settled &= mask & ~told.was_in_front & (measured | ~told.telling)
+        free = seen & ~mask
+        bared = (
+            told.telling & ~measured & ~most_around(is_known, free, TELLING)
+        )  # of a thing, from what is not measured
+        by_depth = measured | bared
+        settled &= mask & ~told.was_in_front & (by_depth | ~told.telling)
         among_ground = settled & ~self.trusted & like_ground & is_known
-        among_ground &= self._surrounded(seen & self.trusted & like_ground)
-        uncovered = self._uncovered(image / gain, settled, seen & ~mask, among_ground, object_, measured, threshold)
+        among_ground &= most_around(seen & self.trusted & like_ground, np.ones_like(seen), GROUND_AROUND)
+        uncovered = self._uncovered(image / gain, settled, free, among_ground, object_, by_depth, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
         self.confirmed |= (self.mask & ~mask) | uncovered
         if not self.depth.is_told:
             self.bared = 0.98 * self.bared + np.count_nonzero(uncovered & self.trusted & (difference > threshold))
         self.trusted |= uncovered
         self.mask = mask & ~uncovered
+        self.depth.forget(uncovered & bared)
         self._learn(image / gain, view, seen & ~self.mask, uncovered)
         return self.mask.copy()
 
@@ -162,15 +168,6 @@ class CameraMask:
         closed: Bool = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, self.closing)[margin:-margin, margin:-margin] > 0
         return closed
 
-    def _surrounded(self, ground: Bool) -> Bool:
-        """Pixels with enough ground among the 5 x 5 around them, or among as many of these as the image has."""
-        counts = [
-            cv2.boxFilter(of.astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for of in (ground, np.ones_like(ground))
-        ]
-        surrounded: Bool = counts[0] >= GROUND_AROUND * counts[1].astype(np.float64)
-        return surrounded
-
     def _uncovered(
         self,
         image: Float32,
@@ -178,19 +175,19 @@ class CameraMask:
         free: Bool,
         found: Bool,
         object_: Bool,
-        measured: Bool,
+        by_depth: Bool,
         threshold: float,
     ) -> Bool:
         """`found`, and settled pixels that a thing, there from the start, has moved off: ground never seen before.
 
         They continue the free ground beside them, or have a colour of the ground around and not of moving things. Where
-        it is not `measured`, colours alone must tell them from somebody who has come to rest: there they must also fit
-        better than the background did, and what is doubted must be likely ground.
+        this is not told `by_depth`, colours alone must tell them from somebody who has come to rest: there they must
+        also fit better than the background did, and what is doubted must be likely ground.
         """
         self.colours.learn(image, free, object_)
         if not settled.any():
             return found
-        unknown = np.where(measured, np.float32(0), np.float32(0.5))
+        unknown = np.where(by_depth, np.float32(0), np.float32(0.5))
         share = self.colours.shares(image, unknown)
         likelier = share >= self.colours.shares(self.background, unknown)
         ground_coloured = settled & (share > GROUND_CERTAINTY)
@@ -207,7 +204,7 @@ class CameraMask:
             fits_better = likely_ground[box] & (was_rough > 2 * threshold) & better
             continues = (settled[box] & (rough < 0.6 * threshold)) | fits_better
             is_ground = continues | ground_coloured[box]
-            is_ground &= measured[box] | np.where(self.trusted[box], better & likelier[box], likely_ground[box])
+            is_ground &= by_depth[box] | np.where(self.trusted[box], better & likelier[box], likely_ground[box])
             inside |= (weight > 0.2) & is_ground
         return found
 
@@ -275,6 +272,16 @@ def _planes(rgb: UInt8) -> Float32:
     """Slightly smoothed float planes [3, H, W] of an image [H, W, 3]."""
     smooth = cv2.GaussianBlur(rgb, (3, 3), 0)
     return np.ascontiguousarray(np.moveaxis(smooth, -1, 0), dtype=np.float32)
+
+
+def most_around(of: Bool, among: Bool, share: float) -> Bool:
+    """[H, W] pixels about which so large a share of those `among` the 5 x 5 is `of` these, or none is among them."""
+    counts = [
+        cv2.boxFilter(one.astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for one in (of & among, among)
+    ]
+    most: Bool = counts[0] >= share * counts[1].astype(np.float64)
+    return most
 
 
 def seen_by(view: View, robot: Bool | None) -> Bool:

@@ -110,6 +110,11 @@ class GroundDepth:
         self.known = np.where(bared, behind, drawn)
         self.measured = np.where(is_measured, view.depth, self.measured).astype(np.float32)
 
+    def forget(self, where: Bool) -> None:
+        """Knows nothing of the ground `where` something measured has left some that is not: a mat, a shining floor."""
+        self.known[where] = 0
+        self.telling[where] = 0
+
     def _before_ground(self, depth: Float32, seen: Bool) -> Bool:
         """[H, W] where a depth is clearly less than the ground's; single pixels are noise."""
         near = seen & (depth > 0) & (self.known > 0) & is_before(depth, self.known)

@@ -33,6 +33,8 @@ class MaskUpdate {
         background_{request.background, pixels_},
         closing_(kernel_of(p_.kernel, p_.closing)),
         uncovered_(pixels_, 0),
+        by_depth_(pixels_, 0),
+        bared_(pixels_, 0),
         difference_(pixels_),
         plain_(3 * pixels_),
         bin_(pixels_) {}
@@ -289,7 +291,7 @@ class MaskUpdate {
   // than 0 while nothing is known of them. Where it is not measured, colours alone must tell it from somebody who
   // stands there.
   bool continues(int64_t at, const Mask &known, const std::vector<float> &shares) const {
-    const bool told = is_measured(at);
+    const bool told = by_depth_[at];
     const float share = shares[bin_[at]] >= 0 ? shares[bin_[at]] : told ? 0.f : 0.5f;
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     constexpr int kSide = 2 * kAround + 1;
@@ -335,14 +337,33 @@ class MaskUpdate {
     return ground >= p_.ground_around * all;
   }
 
+  // Whether depth is known of most of the free ground around a pixel.
+  bool is_amid_known_depth(int64_t at, const Mask &free) const {
+    const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
+    int known = 0, all = 0;
+    for (int y = std::max(row - kAround, 0); y <= std::min(row + kAround, r_.height - 1); y++) {
+      for (int x = std::max(column - kAround, 0); x <= std::min(column + kAround, r_.width - 1); x++) {
+        const int64_t near = static_cast<int64_t>(y) * r_.width + x;
+        known += free[near] && r_.depth[near] > 0;
+        all += free[near];
+      }
+    }
+    return known >= p_.telling * all;
+  }
+
   // Settled pixels that a thing, there from the start, has moved off: ground that was never seen before.
   void uncover(const Mask &mask) {
     count_colours(mask);
     std::vector<int64_t> open, found;
     Mask known(pixels_);
+    for (int64_t at = 0; at < pixels_; at++) known[at] = r_.seen[at] && !mask[at];
+    const Mask free = known;
     for (int64_t at = 0; at < pixels_; at++) {
-      known[at] = r_.seen[at] && !mask[at];
-      if (!settled_[at] || !mask[at] || was_in_front_[at] || (tells_[at] && !is_measured(at))) continue;
+      if (!settled_[at] || !mask[at] || was_in_front_[at]) continue;
+      const bool measured = is_measured(at), bares = tells_[at] && !measured && !is_amid_known_depth(at, free);
+      bared_[at] = bares;
+      by_depth_[at] = measured || bares;
+      if (tells_[at] && !by_depth_[at]) continue;
       if (is_among_ground(at)) {
         known[at] = uncovered_[at] = 1;
       } else {
@@ -367,8 +388,16 @@ class MaskUpdate {
     }
   }
 
+  // Something measured has left ground that is not: a mat, a shining floor. Nothing is known of its depth.
+  void forget() {
+    for (int64_t at = 0; at < pixels_; at++) {
+      if (uncovered_[at] && bared_[at]) r_.depth[at] = r_.telling[at] = 0.f;
+    }
+  }
+
   // Takes what has been found into what is remembered.
   void learn(const Mask &mask) {
+    forget();
     std::vector<float> rates(pixels_);
     const float learning_rate = static_cast<float>(p_.learning_rate);
     const uint8_t *__restrict__ now = mask.data(), *__restrict__ uncovered = uncovered_.data();
@@ -408,6 +437,7 @@ class MaskUpdate {
   Gains gain_{};
   float threshold_ = 0;
   Mask settled_, in_front_, was_in_front_, uncovered_;
+  Mask by_depth_, bared_;  // where depth tells ground; of these, where a thing has left ground that is not measured
   Mask tells_, lost_;  // where ground is measured, and of these where nothing has been for long
   std::vector<float> difference_, plain_;
   std::vector<uint16_t> bin_;  // of each pixel's colour
