@@ -44,7 +44,7 @@ class LoneSights:
             lone = cv2.morphologyEx(lone.astype(np.uint8), cv2.MORPH_OPEN, _RIM) > 0
             if np.count_nonzero(lone) >= SMALLEST_SHARE * mask.size:
                 lone &= table.image_of(blocks.locate(unknown.indices()))
-                is_so |= np.count_nonzero(lone) >= SMALLEST_SHARE * mask.size
+                is_so = is_so or bool(np.count_nonzero(lone) >= SMALLEST_SHARE * mask.size)
         return is_so
 
     def _before(self, camera: str, stamp: int, mask: Bool) -> Bool:
