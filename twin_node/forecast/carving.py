@@ -86,9 +86,9 @@ class Carver:
             looks.append(Look(table, view, moving, robot, backdrop, pixels))
         sights = sights_of(looks, self.parameters)
         flat = [(look, sight) for look, sight in zip(looks, sights, strict=True) if look.view.depth is None]
-        moving = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
+        measured = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
         for look, sight in flat:
-            self._end_before(moving, look, sight)
+            self._end_before(measured, look, sight)
         return sights
 
     def _measured_to_move(self, looks: Sequence[Look], sights: Sequence[Sight]) -> NDArray[np.int64]:
