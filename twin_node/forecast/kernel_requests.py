@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_uint32, c_voi
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 34
+INTERFACE_VERSION = 35
 """Of these and of `part_requests`, `native/interface.h`."""
 
 
@@ -121,7 +121,7 @@ class LookRequest(KernelRequest):
 
     KERNEL = "look"
     _fields_ = (
-        *((name, c_int32) for name in ("views", "threads", "radii", "speck", "measured_within")),
+        *((name, c_int32) for name in ("views", "threads", "radii", "speck", "measured_within", "least_blank")),
         ("radius", c_void_p),
         *((name, c_double) for name in ("depth_margin", "depth_share", "thickness", "thickness_share", "slant")),
         ("looks", c_void_p),

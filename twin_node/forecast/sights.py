@@ -27,6 +27,8 @@ _SPECK = 4
 """Pixels; what so few show to stand out is noise of their depth, and would be grown as a thing."""
 _MEASURED_WITHIN = 2
 """Pixels; an unmeasured one that moves is a hole in what is measured so near, else of a thing that is not measured."""
+_LEAST_BLANK = 12
+"""Pixels of the smallest such thing; fewer are ground that is bare again and that an image happens not to measure."""
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 48.0)
 """Radii in pixels that widths in the image are told apart by."""
 
@@ -93,7 +95,7 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
             camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses_of(*arrays)
         )
     p, radii = parameters, np.array(_RADII)
-    counts = (len(looks), thread_count(), len(radii), _SPECK, _MEASURED_WITHIN)
+    counts = (len(looks), thread_count(), len(radii), _SPECK, _MEASURED_WITHIN, _LEAST_BLANK)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
     compiled.run(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
     return sights
@@ -172,7 +174,7 @@ def _blank(view: View, moving: Bool, blind: Bool, found: Bool) -> Bool:
     """
     assert view.depth is not None
     near = cv2.dilate(found.astype(np.uint8), np.ones((2 * _MEASURED_WITHIN + 1,) * 2, np.uint8)) > 0
-    return np.asarray(moving & ~blind & (view.depth == 0) & ~near)
+    return _without_specks(moving & ~blind & (view.depth == 0) & ~near, _LEAST_BLANK)
 
 
 def _surface(
@@ -204,14 +206,14 @@ def _surface(
     return Surface(np.append(begin, _ALWAYS).astype(np.float32), np.append(end, _NEVER).astype(np.float32))
 
 
-def _without_specks(mask: Bool) -> Bool:
-    """A mask [H, W] without its blobs of fewer than `_SPECK` pixels."""
+def _without_specks(mask: Bool, least: int = _SPECK) -> Bool:
+    """A mask [H, W] without its blobs of fewer than `least` pixels."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     window = slice(top, top + height), slice(left, left + width)
     kept = np.zeros_like(mask)
     if width:
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask[window].astype(np.uint8))
-        kept[window] = mask[window] & (stats[:, cv2.CC_STAT_AREA] >= _SPECK)[labels]
+        kept[window] = mask[window] & (stats[:, cv2.CC_STAT_AREA] >= least)[labels]
     return kept
 
 

@@ -8,7 +8,7 @@
 
 namespace forecast {
 
-constexpr int32_t kInterfaceVersion = 34;
+constexpr int32_t kInterfaceVersion = 35;
 
 constexpr int32_t kOutside = 2;  // beside `boundary::Status`
 

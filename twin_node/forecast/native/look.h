@@ -70,11 +70,12 @@ class Look {
   }
 
   // What moves and is measured neither there nor around: dark, or too thin. What is measured beside it is what stands
-  // behind, and must free nothing there.
+  // behind, and must free nothing there. Specks are ground that is bare again and that an image happens not to measure.
   std::vector<uint8_t> unmeasured(const std::vector<uint8_t> &found) const {
     std::vector<uint8_t> near = found, blank(size_);
     spread_over<Greatest>(near, v_.width, v_.height, Patch::square(r_.measured_within), uint8_t{0});
     for (size_t i = 0; i < size_; i++) blank[i] = moving_[i] & (blind_[i] ^ 1) & (v_.depth[i] == 0.0f) & (near[i] ^ 1);
+    clear_specks(blank, v_.width, v_.height, r_.least_blank);
     return blank;
   }
 

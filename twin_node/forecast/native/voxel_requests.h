@@ -117,6 +117,7 @@ struct LookView {
 struct LookRequest {
   int32_t views, threads, radii, speck;  // smaller blobs than a speck, pixels, are none
   int32_t measured_within;               // pixels about one that is not measured in which its thing is
+  int32_t least_blank;                   // pixels of the smallest thing that is not measured anywhere
   const double *radius;                  // [radii] pixels, rising, that widths are told apart by
   double depth_margin, depth_share, thickness, thickness_share, slant;
   const LookView *looks;  // [views]
