@@ -151,7 +151,7 @@ def hits(tab: Tab, words: str) -> bool:
 
 
 def compare_pictures(visit_: Visit, T_base_cam: NDArray[np.float64], fewest_px: int, most: float) -> None:
-    """The log's first cloud alone on the page, from one side: by the browser and by us; `most`: mean error of a pixel."""
+    """The log's first cloud alone, from one side: by the browser and by us; `most`: mean error of a pixel."""
     whole = visit_.playback.at(visit_.playback.start_ns + 2 * PERIOD).said[GAUSSIANS]
     snapshot = Snapshot(whole.stamp, {GAUSSIANS: whole}, {}, None)
     visit_.page.frusta.is_shown = False
