@@ -37,9 +37,8 @@ def test_the_stereo_pair_meets_the_published_figures(
     assert main(["calibrate", "rig", folder, "--board", "chessboard:9x6:1.0", "-o", rig, "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["rms_px"] <= 0.45
-    lengths = [camera["K"][0][0] for camera in figures["cameras"].values()]
-    assert np.mean(lengths) == pytest.approx(536, abs=2)  # one was published for both lenses
-    assert lengths == pytest.approx([536, 536], abs=2.5)
+    for camera in figures["cameras"].values():
+        assert camera["K"][0][0] == pytest.approx(536, abs=2)
     baseline = np.linalg.norm(load_rig(rig).rig.cameras[1].T_base_cam[:3, 3])
     assert baseline == pytest.approx(3.34, abs=0.02)
 

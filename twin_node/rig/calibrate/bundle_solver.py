@@ -96,7 +96,7 @@ def with_board_that_pays(flat: BundleResult, given: Sequence[Sighting], options:
     """The bundle over a board that is stretched, or bent, where that explains enough; `given`: what it was made of."""
     best = flat
     for board in (BoardFreedom.STRETCHED, BoardFreedom.BENT):
-        other = solve_bundle(best.state, given, replace(options, board=board), flat)
+        other = solve_bundle(flat.state, given, replace(options, board=board), flat)
         best = other if board_pays(best, other) else best
     return best
 
