@@ -7,6 +7,7 @@
 #include <cstddef>
 
 #include "colours.h"
+#include "ground_depth.h"
 #include "interface.h"
 #include "planes.h"
 #include "regions.h"
@@ -19,8 +20,6 @@ constexpr double kNoiseShare = 0.05, kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
 constexpr double kQuiet = 0.7, kAlike = 0.6;
 constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
-constexpr double kNearM = 0.01;
-static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
 
 // One camera's update: its stages in the order in which they are called.
 class MaskUpdate {
@@ -31,6 +30,7 @@ class MaskUpdate {
         pixels_(static_cast<int64_t>(request.width) * request.height),
         image_{request.image, pixels_},
         background_{request.background, pixels_},
+        depth_(request),
         closing_(kernel_of(p_.kernel, p_.closing)),
         uncovered_(pixels_, 0),
         by_depth_(pixels_, 0),
@@ -44,11 +44,11 @@ class MaskUpdate {
     gain_ = gain(background_, [&](int64_t at) { return r_.seen[at] && !r_.mask[at] && r_.known[at]; });
     expose();
     meet();
-    look_at_depth();
+    depth_.look();
     find_settled();
     threshold_ = static_cast<float>(std::max(p_.change_levels, p_.change_sigmas * *r_.sigma));
     compare();
-    find_in_front();
+    depth_.find_in_front();
     Mask mask = moving();
     hold(mask);
     doubt(mask);
@@ -100,28 +100,10 @@ class MaskUpdate {
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
       for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
-      if (r_.measured != nullptr) {
-        r_.depth[at] = r_.measured[at];
-        r_.telling[at] = r_.measured[at] > 0 ? 1.f : 0.f;
-      }
+      depth_.meet(at);
       if (!around[at]) continue;
       r_.trusted[at] = 0;
       r_.mask[at] = 1;
-    }
-  }
-
-  // How long each pixel has not been measured, and where ground is so often that the lack of it tells.
-  void look_at_depth() {
-    const float rate = static_cast<float>(p_.learning_rate), least = static_cast<float>(p_.telling);
-    const float lost_ns = static_cast<float>(p_.lost_ns);
-    tells_.resize(pixels_);
-    lost_.resize(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      const bool is_measured = r_.measured != nullptr && r_.measured[at] > 0, is_free = r_.seen[at] && !r_.mask[at];
-      r_.blind_ns[at] = is_measured ? 0.f : r_.blind_ns[at] + r_.elapsed_ns;
-      if (r_.measured != nullptr && is_free) r_.telling[at] += rate * ((is_measured ? 1.f : 0.f) - r_.telling[at]);
-      tells_[at] = !r_.is_silent && r_.telling[at] >= least;
-      lost_[at] = tells_[at] && r_.blind_ns[at] > lost_ns;
     }
   }
 
@@ -174,51 +156,13 @@ class MaskUpdate {
     }
   }
 
-  // Whether one depth is clearly less than another, both known.
-  bool is_before(float depth, float other) const {
-    return depth < other * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
-  }
-
-  // Whether what is measured was not there in the image before: what only comes nearer may be the background itself.
-  bool has_come(int64_t at) const {
-    const float last = r_.measured_last[at];
-    return !(last > 0 && r_.measured[at] > 0) || is_before(r_.measured[at], last);
-  }
-
-  // Where what stands in front of the background's surface has come, and the rim of that, whose pixels hardly change.
-  Mask come_in_front() const {
-    Mask come(pixels_, 0);
-    if (r_.measured == nullptr) return come;
-    for (int64_t at = 0; at < pixels_; at++) come[at] = in_front_[at] && has_come(at);
-    return dilated(come.data(), r_.width, r_.height, kCross);
-  }
-
-  // Where a measured surface stands in front of the background's, and where one did when something was measured last.
-  void find_in_front() {
-    in_front_.assign(pixels_, 0);
-    if (r_.measured != nullptr) in_front_ = before_ground([&](int64_t at) { return r_.measured[at]; });
-    was_in_front_ = before_ground([&](int64_t at) {
-      return r_.measured != nullptr && r_.measured[at] > 0 ? r_.measured[at] : r_.measured_last[at];
-    });
-  }
-
-  template <class Depth>
-  Mask before_ground(const Depth &depth_at) const {
-    Mask near(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      const float depth = depth_at(at);
-      near[at] = r_.seen[at] && depth > 0 && r_.depth[at] > 0 && is_before(depth, r_.depth[at]);
-    }
-    return dilated(eroded(near, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
-  }
-
   Mask moving() const {
     std::vector<float> evidence(pixels_);
     for (int64_t at = 0; at < pixels_; at++) evidence[at] = r_.trusted[at] && r_.seen[at] ? difference_[at] : 0.f;
     const Mask strong = strong_regions(evidence, r_.width, r_.height, 0.5f * threshold_, threshold_,
                                        p_.smallest_area * static_cast<double>(pixels_));
     Mask out = closed(strong, r_.width, r_.height, closing_);
-    for (int64_t at = 0; at < pixels_; at++) out[at] |= in_front_[at];
+    for (int64_t at = 0; at < pixels_; at++) out[at] |= depth_.in_front(at);
     return out;
   }
 
@@ -229,7 +173,7 @@ class MaskUpdate {
     static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
     Mask ground(pixels_), hole(pixels_);
     const uint8_t *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask, *__restrict__ seen = r_.seen;
-    const uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ lost = lost_.data();
+    const uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ lost = depth_.lost();
     const float *__restrict__ apart = difference_.data(), likeness = 0.5f * threshold_;
     const int64_t end = pixels_;
     const auto over = [end](Mask &to, const auto &value) {
@@ -253,10 +197,10 @@ class MaskUpdate {
   // ground since another one left it, or what is seen there has just come. Where no depth is known nothing else would
   // notice that it is a thing: there the former does not count.
   void doubt(const Mask &mask) const {
-    const Mask come = come_in_front();
+    const Mask come = depth_.come_in_front();
     for (int64_t at = 0; at < pixels_; at++) {
-      const bool begins = mask[at] && !r_.mask[at] && !(r_.confirmed[at] && r_.depth[at] > 0);
-      if (begins && like_ground(at) && !(in_front_[at] && come[at])) r_.trusted[at] = 0;
+      const bool begins = mask[at] && !r_.mask[at] && !(r_.confirmed[at] && depth_.is_known(at));
+      if (begins && like_ground(at) && !(depth_.in_front(at) && come[at])) r_.trusted[at] = 0;
     }
   }
 
@@ -272,20 +216,12 @@ class MaskUpdate {
     }
   }
 
-  // Whether any depth is known: else colours alone must tell ground from somebody who stands there.
-  bool is_told() const {
-    return std::any_of(r_.depth, r_.depth + pixels_, [](float depth) { return depth > 0; });
-  }
-
   // Where a line of `size` pixels is looked at beyond its ends: mirrored, the end itself not repeated.
   static int mirrored(int at, int size) {
     if (size == 1) return 0;
     while (at < 0 || at >= size) at = at < 0 ? -at : 2 * size - 2 - at;
     return at;
   }
-
-  // Whether ground is known there, and something has been measured since it looks as it does.
-  bool is_measured(int64_t at) const { return r_.depth[at] > 0 && r_.blind_ns[at] < r_.still_ns[at]; }
 
   // Whether a settled pixel continues the ground around it, of which `known` is what is known. `shares` of colours, less
   // than 0 while nothing is known of them. Where it is not measured, colours alone must tell it from somebody who
@@ -324,7 +260,7 @@ class MaskUpdate {
 
   // Whether a background that is doubted is seen, its depth known, and nearly all pixels around show one that is not.
   bool is_among_ground(int64_t at) const {
-    if (r_.trusted[at] || !like_ground(at) || !(r_.depth[at] > 0)) return false;
+    if (r_.trusted[at] || !like_ground(at) || !depth_.is_known(at)) return false;
     const int row = static_cast<int>(at / r_.width), column = static_cast<int>(at % r_.width);
     int ground = 0, all = 0;
     for (int y = std::max(row - kAround, 0); y <= std::min(row + kAround, r_.height - 1); y++) {
@@ -344,7 +280,7 @@ class MaskUpdate {
     for (int y = std::max(row - kAround, 0); y <= std::min(row + kAround, r_.height - 1); y++) {
       for (int x = std::max(column - kAround, 0); x <= std::min(column + kAround, r_.width - 1); x++) {
         const int64_t near = static_cast<int64_t>(y) * r_.width + x;
-        known += free[near] && r_.depth[near] > 0;
+        known += free[near] && depth_.is_known(near);
         all += free[near];
       }
     }
@@ -359,18 +295,18 @@ class MaskUpdate {
     for (int64_t at = 0; at < pixels_; at++) known[at] = r_.seen[at] && !mask[at];
     const Mask free = known;
     for (int64_t at = 0; at < pixels_; at++) {
-      if (!settled_[at] || !mask[at] || was_in_front_[at]) continue;
-      const bool measured = is_measured(at), bares = tells_[at] && !measured && !is_amid_known_depth(at, free);
+      if (!settled_[at] || !mask[at] || depth_.was_in_front(at)) continue;
+      const bool measured = depth_.is_measured(at), bares = depth_.tells(at) && !measured && !is_amid_known_depth(at, free);
       bared_[at] = bares;
       by_depth_[at] = measured || bares;
-      if (tells_[at] && !by_depth_[at]) continue;
+      if (depth_.tells(at) && !by_depth_[at]) continue;
       if (is_among_ground(at)) {
         known[at] = uncovered_[at] = 1;
       } else {
         open.push_back(at);
       }
     }
-    const bool told = is_told();
+    const bool told = depth_.is_told();
     if (!told) *r_.bared *= kFading;
     if (open.empty()) return;
     const std::vector<float> shares = ground_shares(r_.ground, r_.moving, -1.f);
@@ -388,16 +324,11 @@ class MaskUpdate {
     }
   }
 
-  // Something measured has left ground that is not: a mat, a shining floor. Nothing is known of its depth.
-  void forget() {
-    for (int64_t at = 0; at < pixels_; at++) {
-      if (uncovered_[at] && bared_[at]) r_.depth[at] = r_.telling[at] = 0.f;
-    }
-  }
-
   // Takes what has been found into what is remembered.
   void learn(const Mask &mask) {
-    forget();
+    for (int64_t at = 0; at < pixels_; at++) {
+      if (uncovered_[at] && bared_[at]) depth_.forget(at);
+    }
     std::vector<float> rates(pixels_);
     const float learning_rate = static_cast<float>(p_.learning_rate);
     const uint8_t *__restrict__ now = mask.data(), *__restrict__ uncovered = uncovered_.data();
@@ -415,30 +346,19 @@ class MaskUpdate {
       float *background = r_.background + k * pixels_;
       for (int64_t at = 0; at < pixels_; at++) background[at] += rates[at] * (plain(k, at) - background[at]);
     }
-    for (int64_t at = 0; at < pixels_ && r_.measured != nullptr; at++) {
-      const float measured = r_.measured[at], depth = r_.depth[at], behind = std::min(measured, r_.measured_last[at]);
-      if (!(measured > 0)) continue;
-      r_.measured_last[at] = measured;
-      if (depth > 0 && behind > depth * static_cast<float>(1 + p_.depth_levels) + static_cast<float>(kNearM)) {
-        r_.depth[at] = behind;
-        continue;
-      }
-      const float known = measured > depth ? std::max(rates[at], learning_rate) : rates[at];
-      const float share = depth == 0.f ? (rates[at] > 0 ? 1.f : 0.f) : known;
-      r_.depth[at] += share * (measured - depth);
-    }
+    depth_.learn(rates);
   }
 
   const MaskRequest &r_;
   const MaskRules &p_;
   const int64_t pixels_;
   const Planes image_, background_;
+  GroundDepth depth_;
   const Kernel closing_;
   Gains gain_{};
   float threshold_ = 0;
-  Mask settled_, in_front_, was_in_front_, uncovered_;
+  Mask settled_, uncovered_;
   Mask by_depth_, bared_;  // where depth tells ground; of these, where a thing has left ground that is not measured
-  Mask tells_, lost_;  // where ground is measured, and of these where nothing has been for long
   std::vector<float> difference_, plain_;
   std::vector<uint16_t> bin_;  // of each pixel's colour
 };
