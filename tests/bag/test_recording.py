@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+from made_recordings import STEP, STRING, fill, stamps_of, text
 from mcap.reader import make_reader
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -23,27 +24,7 @@ from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters,
 from twin_node.bag.folder_metadata import FolderFile, write_metadata
 from twin_node.bag.latched import standing_before
 from twin_node.bag.qos import profile
-from twin_node.bag.repair import repair
-from twin_node.messages import builtin_types, deserialize, message_type, serialize
-
-STRING = "std_msgs/msg/String"
-STEP = 100_000_000
-
-
-def text(data: str) -> bytes:
-    return bytes(serialize(message_type(STRING)(data=data)))
-
-
-def fill(writer: RecordingWriter, count: int, size: int = 100) -> None:
-    types = builtin_types()
-    writer.write("/tf_static", STRING, text("where things are"), 0, types)
-    for i in range(1, count):
-        writer.write("/a", STRING, text(str(i).zfill(size)), i * STEP, types)
-
-
-def stamps_of(path: Path, topic: str = "/a") -> list[int]:
-    with open_log(path) as log:
-        return [message.stamp for message in log.messages([topic])]
+from twin_node.messages import builtin_types, deserialize
 
 
 def test_a_folder_is_split_by_time_and_each_file_stands_alone(tmp_path: Path) -> None:
@@ -146,61 +127,6 @@ def test_what_a_killed_recorder_has_written_is_read(tmp_path: Path, name: str) -
         assert "ends in the middle" in log.damage
 
 
-def split_and_die(path: Path) -> None:
-    recording.FLUSH_S = 3600.0  # on a busy machine those 12 messages take longer than the usual
-    fill(RecordingWriter(path, SplitParameters(max_duration_s=1.0)), 12)
-    os._exit(9)
-
-
-def test_a_recorder_that_is_killed_before_its_new_file_has_a_message_leaves_all_others(tmp_path: Path) -> None:
-    """What waits for its chunk is lost, not the files before."""
-    process = multiprocessing.get_context("spawn").Process(target=split_and_die, args=(tmp_path / "run",))
-    process.start()
-    process.join()
-    assert process.exitcode == 9
-    assert stamps_of(tmp_path / "run") == [i * STEP for i in range(1, 10)]
-    with open_log(tmp_path / "run") as log:
-        assert log.damage is not None
-        assert "run_1.mcap: damaged at byte" in log.damage
-    (tmp_path / "run" / "run_1.mcap").write_bytes(b"")  # as rosbag2 leaves it
-    with open_log(tmp_path / "run") as log:
-        assert log.damage is not None
-        assert "run_1.mcap: expected an MCAP or rosbag2 SQLite log, found an empty file" in log.damage
-    assert repair(tmp_path / "run", tmp_path / "whole.mcap").messages == 10
-    (tmp_path / "run" / "run_0.mcap").write_bytes(b"")
-    with pytest.raises(BagError, match=r"run_0.mcap: .* found an empty file"):
-        open_log(tmp_path / "run")
-
-
-def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_numbered_files(tmp_path: Path) -> None:
-    """As rosbag2 leaves it after `kill -9`."""
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
-    (tmp_path / "run" / "metadata.yaml").unlink()
-    with pytest.raises(BagError, match=r"no metadata.yaml in this folder, its recording was not finished; write it"):
-        open_log(tmp_path / "run")
-    repair(tmp_path / "run", tmp_path / "whole")
-    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
-    (tmp_path / "run" / "run_1.mcap").rename(tmp_path / "run" / "other.mcap")
-    with pytest.raises(BagError, match=r"no metadata.yaml in this folder; give one of its files \(other.mcap\)"):
-        open_log(tmp_path / "run")
-
-
-@pytest.mark.parametrize("metadata", [b"", b"rosbag2_bagfile_information: {", b"\0" * 500])
-def test_a_bag_whose_metadata_a_power_cut_has_taken_is_repaired(tmp_path: Path, metadata: bytes) -> None:
-    """An empty file, or one of zeros, is what some file systems leave of what was written last."""
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
-    (tmp_path / "run" / "metadata.yaml").write_bytes(metadata)
-    with pytest.raises(
-        BagError, match=r"not the metadata .*; write it whole with 'twin_node check .*/run --repair OUT'"
-    ):
-        open_log(tmp_path / "run")
-    found = repair(tmp_path / "run", tmp_path / "whole")
-    assert "its files are read by their numbers" in str(found.damage)
-    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
-
-
 @pytest.fixture
 def few_files() -> Iterator[int]:
     """A process that may have fewer files open than is usual: so many."""
@@ -234,67 +160,6 @@ def test_what_to_do_is_told_where_no_more_files_may_be_open(tmp_path: Path, monk
         open_log(tmp_path / "run.mcap")
 
 
-def test_what_is_there_of_a_bag_is_written_whole(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
-    (tmp_path / "run" / "run_1.mcap").unlink()
-    with pytest.raises(BagError, match=r"not there: run_1.mcap; copy the whole bag, or write what is there with"):
-        open_log(tmp_path / "run")
-    found = repair(tmp_path / "run", tmp_path / "whole")
-    assert "names files that are not there: run_1.mcap" in str(found.damage)
-    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30) if not 10 <= i < 20]
-
-
-@pytest.mark.parametrize("output", ["whole.mcap", "whole"])
-def test_an_unfinished_recording_is_written_whole(tmp_path: Path, output: str) -> None:
-    with RecordingWriter(tmp_path / "run.mcap") as writer:
-        fill(writer, 25)
-        writer.add_metadata("rig", {"camera": "front"})
-    content = (tmp_path / "run.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(content[:-30])
-    found = repair(tmp_path / "cut.mcap", tmp_path / output)
-    assert (found.messages, found.left_out) == (25, ())
-    assert stamps_of(tmp_path / output) == [i * STEP for i in range(1, 25)]
-    with open_log(tmp_path / output) as log:
-        assert log.damage is None
-        assert log.metadata["rig"] == {"camera": "front"}
-        assert [(topic.name, topic.latched) for topic in log.topics] == [("/a", False), ("/tf_static", True)]
-    with pytest.raises(BagError, match="exists already"):
-        repair(tmp_path / "cut.mcap", tmp_path / output)
-
-
-def test_repair_goes_on_behind_a_damaged_chunk(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "log.mcap") as log:
-        for i in range(300):
-            log.write("/a", message_type(STRING)(data="x" * 500 + str(i)), i)
-            if i % 100 == 99:
-                log.flush()
-    broken = bytearray((tmp_path / "log.mcap").read_bytes())
-    broken[broken.index(b"x" * 500 + b"150") + 10] ^= 0xFF
-    (tmp_path / "log.mcap").write_bytes(broken)
-    found = repair(tmp_path / "log.mcap", tmp_path / "whole.mcap")
-    assert found.damage is not None
-    assert stamps_of(tmp_path / "whole.mcap") == [*range(100), *range(200, 300)]
-
-
-@pytest.mark.parametrize("output", ["whole.mcap", "whole"])
-def test_a_repaired_log_keeps_times_of_publishing_and_quality_of_service(tmp_path: Path, output: str) -> None:
-    """Of best-effort images `ros2 bag play` would else make reliable ones, for which others wait."""
-    offered = profile(latched=False)._replace(reliability=QosReliability.BEST_EFFORT, depth=5)
-    with LogWriter(tmp_path / "log.mcap") as log:
-        log.add_topic("/images", STRING, profiles=[offered, profile(latched=True)])
-        log.write_raw("/images", STRING, text("a"), 100, 90)
-        log.write("/notes", message_type(STRING)(data="b"), 200)
-    repair(tmp_path / "log.mcap", tmp_path / output)
-    with open_log(tmp_path / output) as log:
-        assert [(m.stamp, m.published) for m in log.messages()] == [(100, 90), (200, 200)]
-        assert log.profiles("/images") == (offered, profile(latched=True))
-        assert log.profiles("/notes") == (profile(latched=False),)
-    if output == "whole":
-        with Reader(tmp_path / output) as bag:
-            assert bag.connections[0].ext.offered_qos_profiles == [offered, profile(latched=True)]
-
-
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
 @pytest.mark.parametrize("version", [8, 9])
 def test_quality_of_service_is_read_as_each_distribution_writes_it(
@@ -307,19 +172,6 @@ def test_quality_of_service_is_read_as_each_distribution_writes_it(
     with open_log(tmp_path / "bag") as log:
         assert log.profiles("/a") == (offered,)
         assert log.topics[0].latched
-
-
-@pytest.mark.parametrize("cut", [0, 20])
-def test_attachments_that_a_repaired_log_goes_without_are_told(tmp_path: Path, cut: int) -> None:
-    path = tmp_path / "log.mcap"
-    with LogWriter(path) as log:
-        log.write("/a", message_type(STRING)(data="a"), 1)
-        log.flush()
-        log._sink._writer.add_attachment(1, 1, "notes.txt", "text/plain", b"what was seen")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size - cut])
-    assert repair(path, tmp_path / "whole.mcap").left_out == ("the attachment notes.txt",)
-    with open_log(path) as log:
-        assert log.left_out == ()
 
 
 class FullDisk:

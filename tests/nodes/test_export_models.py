@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,15 +83,19 @@ def test_a_model_without_a_field_stands(tmp_path: Path) -> None:
     assert not arrays["velocities"].any() and (arrays["tiers"] == Tier.STATIC).all()
 
 
-@pytest.mark.parametrize("is_baked", [False, True])
-def test_a_model_becomes_a_log_that_can_be_looked_at(is_baked: bool, tmp_path: Path) -> None:
-    trainer, path, log = moving_model(), tmp_path / "model.safetensors", tmp_path / "model.mcap"
-    stamps = [view.stamp for view in VIEWS]
+def become_a_log(trainer: Trainer, stamps: Sequence[int], path: Path, log: Path, is_baked: bool) -> None:
     if is_baked:
         save_baked(bake_model(trainer.model, stamps, (CAMERA,)), path)
     else:
         save_checkpoint(trainer, path)
     assert main(["import", "model", str(path), "-o", str(log)]) == 0
+
+
+@pytest.mark.parametrize("is_baked", [False, True])
+def test_a_model_becomes_a_log_that_can_be_looked_at(is_baked: bool, tmp_path: Path) -> None:
+    trainer, path, log = moving_model(), tmp_path / "model.safetensors", tmp_path / "model.mcap"
+    stamps = [view.stamp for view in VIEWS]
+    become_a_log(trainer, stamps, path, log, is_baked)
     with Playback([log]) as playback:
         assert playback.has_twin
         for stamp in stamps:
@@ -107,11 +112,7 @@ def test_times_before_zero_begin_a_log_at_zero(is_baked: bool, tmp_path: Path) -
     path, log, stamps = tmp_path / "model.safetensors", tmp_path / "model.mcap", [-1_000_000_000, 0, 500_000_000]
     recording = Recording("early", tuple(replace(view, stamp=at) for view, at in zip(VIEWS, stamps, strict=True)))
     trainer = Trainer(recording, TrainParameters(method="static", degree=0), stored_from_cloud(cloud_at(0, True)))
-    if is_baked:
-        save_baked(bake_model(trainer.model, stamps, (CAMERA,)), path)
-    else:
-        save_checkpoint(trainer, path)
-    assert main(["import", "model", str(path), "-o", str(log)]) == 0
+    become_a_log(trainer, stamps, path, log, is_baked)
     with Playback([log]) as playback:
         assert (playback.start_ns, playback.end_ns) == (0, 1_500_000_000)
 

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from simulated_boards import Spoiled, a_lens, around, record
+from simulated_rigs import BOARD, CLOCKS_S, SECONDS, a_rig, check_covariance, errors_of
 
-from twin_node.geometry import inverse_pose, pose
+from twin_node.geometry import inverse_pose
 from twin_node.rig import RigError, load_rig, save_rig
-from twin_node.rig.calibrate.board_shape import board_shape
-from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, Corners
+from twin_node.rig.calibrate.boards import Board, Chessboard, Corners
 from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.contradictions import check_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
@@ -37,33 +35,6 @@ from twin_node.rig.calibrate.results import (
 from twin_node.rig.calibrate.rig_fit import common_sightings
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64
-
-BOARD: Board = CharucoBoard(6, 5, 0.08, 0.06)
-SECONDS = 6.0
-CLOCKS_S = (0.0, 0.05, -0.03)
-
-
-@cache
-def a_rig(seed: int, cameras: int = 3, outliers: float = 0.2) -> tuple[CameraRecording, ...]:
-    rng = np.random.default_rng(seed)
-    lenses = [a_lens(focal=rng.uniform(450, 700)) for _ in range(cameras)]
-    spoiled = [Spoiled(0.2, outliers, CLOCKS_S[i % 3]) for i in range(cameras)]
-    made = [
-        record(BOARD, lens, T, f"cam{i}", rng, spoiled[i], seconds=SECONDS)
-        for i, (lens, T) in enumerate(zip(lenses, around(cameras), strict=True))
-    ]
-    return tuple(replace(camera, lens=lens) for camera, lens in zip(made, lenses, strict=True))
-
-
-def errors_of(solution: RigSolution) -> Float64:
-    """[C - 1, 6] position (m) and turn (rad) of the cameras, in the first one's frame."""
-    truth = around(len(solution.names))
-    out = []
-    for i, T in enumerate(camera_poses(solution.bundle.state)[1:], start=1):
-        true = inverse_pose(truth[0]) @ truth[i]
-        turn = Rotation.from_matrix(T[:3, :3] @ true[:3, :3].T).as_rotvec()
-        out.append(np.concatenate([T[:3, 3] - true[:3, 3], turn]))
-    return np.stack(out)
 
 
 @pytest.fixture(scope="module")
@@ -90,22 +61,14 @@ def test_rolling_shutters_bend_no_poses() -> None:
     ]
     solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
     (error,) = errors_of(solution)
-    _check_covariance(solution)
+    check_covariance(solution)
     assert np.linalg.norm(error[:3]) < 0.002
     assert np.degrees(np.linalg.norm(error[3:])) < 0.1
     np.testing.assert_allclose(solution.bundle.state.readouts, readouts, atol=0.001)
 
 
-def _check_covariance(solution: RigSolution) -> None:
-    relative = np.concatenate([np.zeros((1, 6)), errors_of(solution)])
-    errors = settled(camera_poses(solution.bundle.state), relative.reshape(-1, 1)).reshape(-1, 6)
-    for error, covariance in zip(errors, pose_covariances(solution, np.eye(4)), strict=True):
-        assert chi2.ppf(0.0001, 6) < error @ np.linalg.solve(covariance, error) < chi2.ppf(0.9999, 6)
-        assert np.sqrt(np.trace(covariance[:3, :3])) < 0.01
-
-
 def test_the_stated_covariance_covers_the_truth(solution: RigSolution) -> None:
-    _check_covariance(solution)
+    check_covariance(solution)
 
 
 def test_unknown_lenses_are_found_with_the_poses() -> None:
@@ -267,116 +230,6 @@ def test_a_camera_that_a_check_cannot_judge_is_named(solution: RigSolution) -> N
         common_sightings(BOARD, replace(rig, cameras=(larger, *rig.cameras[1:])), recordings)
 
 
-@pytest.fixture(scope="module")
-def true_stamps() -> list[CameraRecording]:
-    return [
-        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), seconds=20.0), lens=a_lens())
-        for i, T in enumerate(around(3))
-    ]
-
-
-@pytest.mark.parametrize("fault", ["seconds off", "jumps", "backwards", "too fast"])
-def test_stamps_of_other_moments_are_refused(fault: str, true_stamps: list[CameraRecording]) -> None:
-    first, second, third = true_stamps
-    half = np.arange(len(third.stamps)) >= len(third.stamps) // 2
-    wrong = {
-        "seconds off": replace(third, stamps=third.stamps + 4 * 10**9),
-        "jumps": replace(third, stamps=third.stamps + 5 * 10**8 * half),
-        "backwards": replace(third, found=third.found[::-1]),
-        "too fast": replace(third, stamps=third.stamps[0] + (third.stamps - third.stamps[0]) * 6 // 5),
-    }
-    with pytest.raises(RigError, match="stamps"):
-        calibrate_rig(BOARD, [first, second, wrong[fault]], RigOptions(lenses=False, board=False))
-
-
-@pytest.mark.parametrize("fault", ["moved", "clock set"])
-def test_a_camera_that_was_moved_or_whose_clock_was_set_half_way_is_named(fault: str) -> None:
-    """Delays of single images took up such a camera: moved by 10 mm, it came out 20 mm off, 0.6 mm stated."""
-    places, half = around(3), slice(60, None)
-    cameras = [
-        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i)), lens=a_lens())
-        for i, T in enumerate(places)
-    ]
-    moved = places[1] @ pose(Rotation.from_rotvec([0, 0.005, 0]).as_matrix(), np.array([0.005, 0, 0]))
-    later = record(BOARD, a_lens(), moved, "cam1", np.random.default_rng(1))
-    stamps = cameras[1].stamps.copy()
-    stamps[half] += 30_000_000
-    cameras[1] = {
-        "moved": replace(cameras[1], found=(*cameras[1].found[:60], *later.found[half])),
-        "clock set": replace(cameras[1], stamps=stamps),
-    }[fault]
-    with pytest.raises(RigError, match="camera cam1: expected one place and one clock"):
-        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
-
-
-@pytest.mark.parametrize(("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place")])
-def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, by: float, told: str) -> None:
-    """Split at the middle alone it was accepted, or all of its last images were left out: 100 mm off from then on."""
-    places = around(3)
-    moved = places[1] @ pose(Rotation.from_rotvec([0, by, 0]).as_matrix(), np.array([by, 0, 0]))
-    cameras = [
-        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i)), lens=a_lens())
-        for i, T in enumerate(places)
-    ]
-    later, first = record(BOARD, a_lens(), moved, "cam1", np.random.default_rng(1)), round(120 * at)
-    cameras[1] = replace(cameras[1], found=(*cameras[1].found[:first], *later.found[first:]))
-    with pytest.raises(RigError, match=f"camera cam1: expected {told}"):
-        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
-
-
-def test_a_camera_that_was_moved_between_stills_is_named() -> None:
-    """All of its last stills were left out: the rig told where it had stood before."""
-    places = around(3)
-    moved = places[1] @ pose(Rotation.from_rotvec([0, 0.03, 0]).as_matrix(), np.array([0.03, 0, 0]))
-    films = [
-        record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(7), seconds=60, rate_hz=0.5)
-        for i, T in enumerate((*places, moved))
-    ]
-    numbers = np.arange(len(films[0].found)) * 10**9
-    cameras = [replace(film, stamps=numbers, moving=False, lens=a_lens()) for film in films[:3]]
-    cameras[1] = replace(cameras[1], found=(*cameras[1].found[:24], *films[3].found[24:]))
-    with pytest.raises(RigError, match="camera cam1: expected one place all along"):
-        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
-
-
-def test_a_board_that_rests_at_the_end_is_one_witness() -> None:
-    """All images of it err alike: taken for so many witnesses they told that a camera was moved, by 7 mm."""
-    coded = []
-    for i, T in enumerate(around(2)):
-        rng = np.random.default_rng(i)
-        camera = record(BOARD, a_lens(), T, f"cam{i}", rng, rests_at_s=10.5)
-        rests = int(np.argmax(camera.stamps > 110.6e9))
-        seen = camera.found[rests]
-        assert seen is not None
-        again = Corners(seen.ids, seen.pixels + rng.normal(0, 0.4, seen.pixels.shape))
-        found = (*camera.found[:rests], *[again] * (len(camera.found) - rests))
-        coded.append(replace(camera, found=found, lens=a_lens()))
-    calibrate_rig(BOARD, coded, RigOptions(lenses=False, board=False))
-
-
-class _Printed(CharucoBoard):
-    """A board that a printer made shorter along y."""
-
-    @property
-    def points(self) -> Float64:
-        return BOARD.points * [1, 0.996, 1]
-
-
-def test_a_board_that_a_printer_stretched_leaves_its_size_open() -> None:
-    """Taken for flat it bent the rig by 3 mm, refined corner by corner by 2 mm, and 0.3 and 0.6 mm were stated."""
-    rng, printed = np.random.default_rng(0), _Printed(6, 5, 0.08, 0.06)
-    cameras = [
-        replace(record(printed, a_lens(), T, f"cam{i}", rng, seconds=SECONDS), lens=a_lens())
-        for i, T in enumerate(around(3))
-    ]
-    stretched = calibrate_rig(BOARD, cameras, RigOptions(lenses=False))
-    shape = board_shape(BOARD.points, stretched.bundle.state.points)
-    assert shape.stretch == pytest.approx(0.004, abs=0.0005)
-    assert shape.size_sigma == shape.stretch / 2
-    assert shape.unlike_m < 1e-9
-    _check_covariance(stretched)
-
-
 def test_another_board_than_was_stated_is_refused(solution: RigSolution) -> None:
     """AprilTags with gaps of 0.3 stated as 0.25 made a rig that was 56 mm off, and 0.2 mm stated."""
     state = solution.bundle.state
@@ -385,16 +238,6 @@ def test_another_board_than_was_stated_is_refused(solution: RigSolution) -> None
         bundle = replace(solution.bundle, state=replace(state, points=points))
         with pytest.raises(RigError, match="found its corners 2") if other else nullcontext():
             check_board(BOARD, bundle)
-
-
-def test_a_lens_that_is_fixed_and_wrong_is_named() -> None:
-    """Distances to the board took it up: 3 % off, or without its distortion, a camera was said to have been moved."""
-    cameras = list(a_rig(1, outliers=0.0))
-    lens = cameras[1].lens
-    assert lens is not None
-    cameras[1] = replace(cameras[1], lens=replace(lens, K=lens.K * np.array([[1.04, 1, 1], [1, 1.04, 1], [1, 1, 1]])))
-    with pytest.raises(RigError, match="camera cam1: expected images through the lens given, which is fixed"):
-        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
 def test_corners_at_a_fisheye_s_edge_are_used() -> None:
@@ -408,22 +251,6 @@ def test_corners_at_a_fisheye_s_edge_are_used() -> None:
     solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
     assert max(float(np.abs(rays_of(lens, corners.pixels)).max()) for corners in found) > 2
     assert sum(len(s.corners) for s in solution.bundle.sightings) > 0.99 * sum(len(corners) for corners in found)
-
-
-def test_stamps_that_jitter_are_not() -> None:
-    rng = np.random.default_rng(3)
-    cameras = [
-        replace(
-            record(BOARD, a_lens(), T, f"cam{i}", rng, Spoiled(0.1, 0.2, CLOCKS_S[i]), seconds=SECONDS), lens=a_lens()
-        )
-        for i, T in enumerate(around(3))
-    ]
-    shaky = [replace(c, stamps=c.stamps + np.rint(rng.normal(0, 1e7, len(c.stamps))).astype(np.int64)) for c in cameras]
-    solution = calibrate_rig(BOARD, shaky, RigOptions(lenses=False, board=False))
-    # Taken for right, such stamps left a camera 4.3 mm off.
-    assert np.linalg.norm(errors_of(solution)[:, :3], axis=1).max() < 0.003
-    assert 0.008 < np.sqrt(np.mean(solution.bundle.jitter_s**2)) < 0.015
-    _check_covariance(solution)
 
 
 def test_a_course_between_rare_images_is_as_open_as_it_is() -> None:

@@ -1,4 +1,4 @@
-"""How a board that was refined differs from the one stated, and what that leaves open of its size."""
+"""What shapes a board may have, and how one that was refined differs from the one stated."""
 
 from __future__ import annotations
 
@@ -36,6 +36,20 @@ def board_shape(stated: Float64, found: Float64) -> BoardShape:
     long, short = np.linalg.svd(by_place, compute_uv=False)
     off, unlike = found - stated, drawn - flat @ by_place
     return BoardShape(_rms(off), float(long / short - 1), _rms(unlike))
+
+
+def stretch_of(points: Float64) -> Float64:
+    """[3 P, 2] m of flat corners [P, 3] by their stretch along x and against y, and by their shear."""
+    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T / 2
+    none = np.zeros_like(x)
+    return np.stack([np.stack([x, -y, none], axis=1).ravel(), np.stack([y, x, none], axis=1).ravel()], axis=1)
+
+
+def corner_step(points: Float64) -> float:
+    """Median distance, m, from a corner of a board [P, 3] to the nearest other."""
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
 
 
 def _rms(vectors: Float64) -> float:

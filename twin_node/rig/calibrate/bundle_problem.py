@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
+from twin_node.rig.calibrate.board_shape import corner_step, stretch_of
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
 from twin_node.rig.calibrate.course import Blend, Placed
@@ -111,7 +112,7 @@ class BundleProblem:
         """[C] 1 sigma of each camera's delays, s; 0 where they are fixed, as at first."""
         self.hands = Hands()
         """How a board is moved: at first; from the second round on what was measured."""
-        self._stretch = _stretch_of(start.points) if options.board is BoardFreedom.STRETCHED else None
+        self._stretch = stretch_of(start.points) if options.board is BoardFreedom.STRETCHED else None
         self._step = corner_step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
 
@@ -391,17 +392,3 @@ def _summed(values: Float64, groups: NDArray[np.int64]) -> Float64:
     counts = np.append(groups, len(values))
     adder = csr_array((np.ones(len(values)), np.arange(len(values)), counts))
     return np.asarray(adder @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
-
-
-def _stretch_of(points: Float64) -> Float64:
-    """[3 P, 2] m of flat corners [P, 3] by their stretch along x and against y, and by their shear."""
-    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T / 2
-    none = np.zeros_like(x)
-    return np.stack([np.stack([x, -y, none], axis=1).ravel(), np.stack([y, x, none], axis=1).ravel()], axis=1)
-
-
-def corner_step(points: Float64) -> float:
-    """Median distance, m, from a corner of a board [P, 3] to the nearest other."""
-    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    np.fill_diagonal(distances, np.inf)
-    return float(np.median(distances.min(axis=1)))

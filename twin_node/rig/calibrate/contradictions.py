@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin_node.geometry import transform
-from twin_node.rig.calibrate.board_shape import board_shape
+from twin_node.rig.calibrate.board_shape import board_shape, corner_step
 from twin_node.rig.calibrate.boards import Board
 from twin_node.rig.calibrate.bundle import BundleResult, Sighting
-from twin_node.rig.calibrate.bundle_problem import corner_step
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.stamp_jitter import MOST_JITTER_S
