@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
+import importlib
 import re
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 
@@ -141,7 +142,10 @@ def test_every_launch_file_that_ships_is_whole(name: str) -> None:
 
 
 def test_the_chain_s_sections_are_those_of_its_parameters() -> None:
-    assert [field.name for field in dataclasses.fields(ChainParameters)] == list(CHAIN_SECTIONS)
+    assert list(CHAIN_SECTIONS) == list(get_type_hints(ChainParameters))
+    for (name, place), kind in zip(CHAIN_SECTIONS.items(), get_type_hints(ChainParameters).values(), strict=True):
+        module, _, attribute = place.partition(":")
+        assert getattr(importlib.import_module(module), attribute) is kind, name
 
 
 def test_all_nodes_in_one_process(small: Path) -> None:

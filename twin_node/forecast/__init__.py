@@ -3,7 +3,7 @@
 from twin_node.forecast.baselines import BaselineForecaster, Baselines
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.forecaster import Forecaster, ForecastParameters, ForecastQuality, ForecastResult
-from twin_node.forecast.grid import default_grid
+from twin_node.forecast.grid import GridParameters, default_grid
 from twin_node.forecast.obstacles import CoverParameters, PartMotion, cover
 from twin_node.forecast.points import PointForecast, PointForecaster
 
@@ -16,6 +16,7 @@ __all__ = [
     "ForecastQuality",
     "ForecastResult",
     "Forecaster",
+    "GridParameters",
     "PartMotion",
     "PointForecast",
     "PointForecaster",

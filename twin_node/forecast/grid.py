@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from twin_node.forecast.errors import ForecastError
@@ -11,6 +13,14 @@ MOST_VOXELS = 1_500_000
 """Above this many voxels two CPU cores no longer keep up with camera rate; the voxels are made larger."""
 LARGEST_VOXEL_M = 1.0
 """Larger ones hold a person and the arm at once, m: who gives more means millimetres."""
+
+
+@dataclass(frozen=True)
+class GridParameters:
+    """The voxels that occupancy is reported on."""
+
+    voxel_size: float = 0.02
+    """Edge of a voxel, m."""
 
 
 def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int = MOST_VOXELS) -> Grid:

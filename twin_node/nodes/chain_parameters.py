@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from twin_node import resources
-from twin_node.forecast import CoverParameters, ForecastParameters
+from twin_node.forecast import CoverParameters, ForecastParameters, GridParameters
 from twin_node.model import ModelParameters
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section, check_shared
@@ -19,14 +19,6 @@ from twin_node.rig.drift import DriftParameters
 from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
-
-
-@dataclass(frozen=True)
-class GridParameters:
-    """The voxels that occupancy is reported on."""
-
-    voxel_size: float = 0.02
-    """Edge of a voxel, m."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ from twin_node.bench.results_folder import markdown_table, save_chart
 from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.cell import CellSource, Scenario
+from twin_node.forecast import GridParameters
 from twin_node.nodes.chain import Chain
-from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import FORECAST, FRAMES

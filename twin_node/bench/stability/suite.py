@@ -15,7 +15,8 @@ from twin_node.bench.stability.pictures import OURS, PICTURES
 from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
 from twin_node.bench.workers import spread
-from twin_node.nodes.chain_parameters import ChainParameters, GridParameters
+from twin_node.forecast import GridParameters
+from twin_node.nodes.chain_parameters import ChainParameters
 
 LEAST_PICTURE_DB = 15.0
 """A picture below this on the pixels that changed shows nothing of use: the first image for ever reaches 13 dB here."""

@@ -5,27 +5,36 @@ from __future__ import annotations
 import asyncio
 import struct
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import Protocol, cast
 
 import numpy as np
 
 from twin_node.cell.ur_sim.control_script import ControlScript
-from twin_node.cell.ur_sim.controller import PERIOD_S
+from twin_node.cell.ur_sim.controller import PERIOD_S, Controller
+from twin_node.cell.ur_sim.faults import Faults
 from twin_node.cell.ur_sim.rtde_types import IN_USE, INPUTS, NOT_FOUND
 from twin_node.cell.ur_sim.rtde_wire import InputRecipe, Kind, OutputRecipe, Package, PackageReader, encode, names_of
-
-if TYPE_CHECKING:
-    from twin_node.cell.ur_sim.stand_in import StandIn
 
 _MOST_UNSENT = 65536
 """Bytes that may wait for a client that reads slowly; further packages are left out, as the controller does."""
 _PROTOCOLS = (1, 2)
 
 
+class Served(Protocol):
+    """What clients connect to: the stand-in."""
+
+    version: tuple[int, int, int]
+    """PolyScope."""
+    controller: Controller
+    faults: Faults
+    connections: set[Connection]
+    """Those that are open."""
+
+
 class Connection(asyncio.Protocol):
     """A client's connection to one of the controller's ports; silent while a fault says so."""
 
-    def __init__(self, stand_in: StandIn) -> None:
+    def __init__(self, stand_in: Served) -> None:
         self.stand_in = stand_in
         self._transport: asyncio.Transport | None = None
 
@@ -62,7 +71,7 @@ class Connection(asyncio.Protocol):
 class RtdeConnection(Connection):
     """One client of the Real-Time Data Exchange."""
 
-    def __init__(self, stand_in: StandIn) -> None:
+    def __init__(self, stand_in: Served) -> None:
         super().__init__(stand_in)
         self._reader = PackageReader()
         self._outputs: OutputRecipe | None = None
@@ -148,7 +157,7 @@ class RtdeConnection(Connection):
 class ScriptConnection(Connection):
     """Takes programs as the primary, secondary and real-time ports do, and streams nothing."""
 
-    def __init__(self, stand_in: StandIn) -> None:
+    def __init__(self, stand_in: Served) -> None:
         super().__init__(stand_in)
         self._text = b""
 

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from twin_node.cell.ur_sim.connections import Connection
+from twin_node.cell.ur_sim.connections import Connection, Served
 from twin_node.cell.ur_sim.controller import Controller
 from twin_node.cell.ur_sim.own_program import OwnProgram
 from twin_node.cell.ur_sim.states import RobotMode, RuntimeState
 
 if TYPE_CHECKING:
     import asyncio
-
-    from twin_node.cell.ur_sim.stand_in import StandIn
 
 _SERIAL_NUMBER = "20200000001"
 """Digits, as every controller's; no arm has it."""
@@ -26,7 +24,7 @@ _TOO_EARLY = (
 class DashboardConnection(Connection):
     """One client of the dashboard."""
 
-    def __init__(self, stand_in: StandIn) -> None:
+    def __init__(self, stand_in: Served) -> None:
         super().__init__(stand_in)
         self._text = b""
 
@@ -48,13 +46,13 @@ class DashboardConnection(Connection):
             self._transport.close()
 
 
-def answer(stand_in: StandIn, command: str) -> str:
+def answer(stand_in: Served, command: str) -> str:
     """Carry out a dashboard command and give back the server's answer."""
     told = _told(stand_in, command.lower())
     return _done(stand_in.controller, command) if told is None else told
 
 
-def _told(stand_in: StandIn, command: str) -> str | None:
+def _told(stand_in: Served, command: str) -> str | None:
     """Answer to a question; None where it is none."""
     controller = stand_in.controller
     program = controller.program.name if controller.program is not None else OwnProgram.name

@@ -7,7 +7,7 @@ import difflib
 import importlib
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
-from typing import Any, get_type_hints
+from typing import Any
 
 from twin_node.nodes.topics import GraphError
 
@@ -51,8 +51,18 @@ SOURCES = ("cameras", "player", "recorder", "ur_driver", "ur_sim")
 IN_LOCKSTEP = ("player", "synchronizer", "twin", "arm", "recorder")
 """Nodes that a launch in lockstep stands for."""
 
-CHAIN_SECTIONS = ("synchronizer", "drift", "model", "grid", "forecast", "obstacles", "arm", "size")
-"""Sections that the chain's nodes read; `nodes.chain_parameters.ChainParameters` documents them."""
+CHAIN_SECTIONS = {
+    "synchronizer": "twin_node.nodes.synchronizer:SynchronizerParameters",
+    "drift": "twin_node.rig.drift:DriftParameters",
+    "model": "twin_node.model:ModelParameters",
+    "grid": "twin_node.forecast:GridParameters",
+    "forecast": "twin_node.forecast:ForecastParameters",
+    "obstacles": "twin_node.forecast:CoverParameters",
+    "arm": "twin_node.nodes.arm_parameters:ArmParameters",
+    "size": "twin_node.nodes.sizes:SizeParameters",
+}
+"""Sections that the chain's nodes read -> module and class of their parameters, as in
+`nodes.chain_parameters.ChainParameters`."""
 
 WITHOUT_PARAMETERS = ("twin", "viewer_topics")
 """Nodes that read the chain's sections alone, none of their own."""
@@ -78,9 +88,7 @@ def check_shared(values: Mapping[str, Any], where: str) -> None:
     unknown = set(values) - SHARED
     if not unknown:
         return
-    from twin_node.nodes.chain_parameters import ChainParameters  # much to load where nothing is said of every node
-
-    kinds = [*get_type_hints(ChainParameters).values(), *map(_loaded, PARAMETERS.values())]
+    kinds = map(_loaded, [*CHAIN_SECTIONS.values(), *PARAMETERS.values()])
     known = SHARED.union(*({field.name for field in dataclasses.fields(kind)} for kind in kinds))
     for key in sorted(map(str, unknown - known)):
         near = difflib.get_close_matches(key, known, n=1)
