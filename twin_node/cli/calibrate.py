@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,6 +138,7 @@ def _lens_figures(calibration: LensCalibration, pictures: int) -> dict[str, obje
         "distortion": {"model": lens.model, "coefficients": lens.D.tolist()},
         "sigmas": calibration.sigmas.tolist(),
         "coverage": calibration.coverage.tolist(),
+        "board_shape": calibration.board.as_json(),
     }
 
 
@@ -151,6 +151,8 @@ def _show_lens(calibration: LensCalibration, pictures: int) -> None:
     print("coverage (corners per cell of the image):")
     for row in calibration.coverage:
         print("  " + " ".join(f"{count or '.':>5}" for count in row))
+    if calibration.board.off_m:
+        print(f"board: corners {1e3 * calibration.board.off_m:.2f} mm off the flat print stated: the lens allows for that")
     _show_dropped(calibration.dropped)
 
 
@@ -243,7 +245,7 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
         "corners": sum(len(sighting.corners) for sighting in solution.bundle.sightings),
         "dropped": {view.name: view.reason for view in solution.dropped},
         "unconnected": list(solution.unconnected),
-        "board_shape": asdict(shape) | {"size_sigma": shape.size_sigma},
+        "board_shape": shape.as_json(),
         "cameras": cameras,
     }
 

@@ -95,7 +95,7 @@ class _Bent:
     ("model", "moving", "board"),
     [
         *((model, moving, BoardFreedom.BENT) for model in MODELS for moving in (False, True)),
-        *(("plumb_bob", moving, BoardFreedom.STRETCHED) for moving in (False, True)),
+        *(("plumb_bob", moving, BoardFreedom.SHEET) for moving in (False, True)),
     ],
 )
 def test_the_normal_equations_are_the_cost_s_derivative(model: str, moving: bool, board: BoardFreedom) -> None:

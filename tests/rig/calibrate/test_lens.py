@@ -18,14 +18,18 @@ from twin_node.scene import Float64
 BOARD = CharucoBoard(9, 7, 0.04, 0.03)
 
 
-def views_of(lens: Lens, count: int, tilt: float, rng: np.random.Generator, noise_px: float = 0.3) -> list[BoardView]:
-    """Boards all over the image, tilted by so much, rad (1 sigma, both ways)."""
+def views_of(
+    lens: Lens, count: int, tilt: float, rng: np.random.Generator, noise_px: float = 0.3, bow_m: float = 0.0
+) -> list[BoardView]:
+    """Boards all over the image, tilted by so much, rad (1 sigma, both ways); bowed by so much along x, m."""
     views: list[BoardView] = []
     size, centre = np.array([lens.width, lens.height]), BOARD.points.mean(axis=0)
+    x = BOARD.points[:, 0] - centre[0]
+    points = BOARD.points + bow_m * np.outer((x / x.max()) ** 2, [0.0, 0.0, 1.0])
     while len(views) < count:
         ray = rays_of(lens, rng.uniform(0.1 * size, 0.9 * size)[None])[0]
         R = Rotation.from_rotvec([*rng.normal(0, tilt, 2), rng.normal(0, 0.5)]).as_matrix()
-        places = transform(pose(R, rng.uniform(0.4, 1.2) * np.array([*ray, 1.0]) - R @ centre), BOARD.points)
+        places = transform(pose(R, rng.uniform(0.4, 1.2) * np.array([*ray, 1.0]) - R @ centre), points)
         pixels = project(lens, places).pixels
         inside = ((pixels > 3) & (pixels < size - 4)).all(axis=1) & (places[:, 2] > 0.1)
         if inside.sum() > 11:
@@ -61,6 +65,18 @@ def test_a_fisheye_that_sees_all_around_is_found() -> None:
     truth = a_lens("equidistant", 1280, 720, 400.0)
     calibration = calibrate_lens(BOARD, views_of(truth, 8, 0.5, np.random.default_rng(1)), (1280, 720), truth.model)
     assert np.abs((calibration.lens.parameters - truth.parameters) / calibration.sigmas).max() < 4
+
+
+@pytest.mark.parametrize("bow_mm", [2.0, 8.0])
+def test_a_board_that_is_not_flat_leaves_the_lens_as_it_is(bow_mm: float) -> None:
+    """Taken for flat, or for corners each somewhere else, it gave focal lengths 16 and 63 px off, 3 and 6 px stated."""
+    truth = a_lens("plumb_bob", 1280, 720, 900.0)
+    views = views_of(truth, 12, 0.5, np.random.default_rng(0), bow_m=1e-3 * bow_mm)
+    calibration = calibrate_lens(BOARD, views, (1280, 720))
+    assert np.abs((calibration.lens.parameters - truth.parameters) / calibration.sigmas).max() < 4
+    assert calibration.sigmas[0] < 0.005 * truth.K[0, 0]
+    x = BOARD.points[:, 0] - BOARD.points[:, 0].mean()
+    assert calibration.board.off_m == pytest.approx(1e-3 * bow_mm * np.std((x / x.max()) ** 2), rel=0.1)
 
 
 def test_boards_that_hardly_tilt_leave_the_focal_length_open() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from twin_node.scene import Float64
+
+LEAST_BOW = 1e-6
+"""Of a bow that corners tell: less is rounding."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,10 @@ class BoardShape:
         """
         return self.stretch / 2
 
+    def as_json(self) -> dict[str, float]:
+        """What `--json` prints."""
+        return asdict(self) | {"size_sigma": self.size_sigma}
+
 
 def board_shape(stated: Float64, found: Float64) -> BoardShape:
     """The shape of a flat board, of corners [P, 3] m as stated and as found."""
@@ -38,11 +45,23 @@ def board_shape(stated: Float64, found: Float64) -> BoardShape:
     return BoardShape(_rms(off), float(long / short - 1), _rms(unlike))
 
 
-def stretch_of(points: Float64) -> Float64:
-    """[3 P, 2] m of flat corners [P, 3] by their stretch along x and against y, and by their shear."""
-    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T / 2
+def sheet_shapes(points: Float64) -> Float64:
+    """[3 P, n] m by which a sheet's corners [P, 3] move as it is stretched, sheared and bowed, in shares of its size.
+
+    Stretch is along x and against y. Bows are the quadratic heights: rolled up along some direction, domed, twisted;
+    three, fewer where two rows of corners do not tell them.
+    """
+    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    reach = np.linalg.norm(flat, axis=1).max()
+    x, y = flat.T
     none = np.zeros_like(x)
-    return np.stack([np.stack([x, -y, none], axis=1).ravel(), np.stack([y, x, none], axis=1).ravel()], axis=1)
+    in_plane = [np.stack([x, -y, none], axis=1) / 2, np.stack([y, x, none], axis=1) / 2]
+    tilts, bows = np.stack([none + reach, x, y], axis=1), np.stack([x * x, x * y, y * y], axis=1)
+    bows = bows - tilts @ np.linalg.lstsq(tilts, bows, rcond=None)[0]
+    modes, sizes, _ = np.linalg.svd(bows / reach**2, full_matrices=False)
+    heights = modes[:, sizes > LEAST_BOW].T
+    across = [np.stack([none, none, 2 * reach * height / np.abs(height).max()], axis=1) for height in heights]
+    return np.stack([shape.ravel() for shape in (*in_plane, *across)], axis=1)
 
 
 def corner_step(points: Float64) -> float:

@@ -64,7 +64,7 @@ class BoardFreedom(Enum):
     """What shape the board may have."""
 
     FLAT = "as stated"
-    STRETCHED = "stretched along some direction"
+    SHEET = "stretched along some direction, and bowed, as a sheet may be"
     BENT = "every corner somewhere else"
 
 
@@ -117,7 +117,7 @@ class Layout:
 
     @property
     def board(self) -> slice:
-        """The board's shape: its stretch along x and against y, its shear (shares); or all of its corners (m)."""
+        """The board's shape: shares of the `sheet_shapes`; or all of its corners (m)."""
         start = self.readout(self.cameras - 1).stop
         return slice(start, start + self.shape)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
-from twin_node.rig.calibrate.board_shape import corner_step, stretch_of
+from twin_node.rig.calibrate.board_shape import corner_step, sheet_shapes
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
 from twin_node.rig.calibrate.course import Blend, Placed
@@ -25,8 +25,9 @@ BOARD_TOLERANCE = 0.01
 """1 sigma of a corner's place as a share of the distance between corners, where the board is refined: at first; from
 the second round on what was measured. Paper bends and printers stretch, but no print is off by several of these."""
 
-STRETCH_SIGMA = 0.01
-"""1 sigma of how much longer a print is along one side than along the other: rollers that pull paper."""
+SHEET_SIGMA = 0.01
+"""1 sigma of how much longer a print is along one side than along the other (rollers pull paper), and of how far it is
+bowed, as a share of its diagonal."""
 
 BOARD_TOLERANCE_FLOOR = 1e-4
 """No print is better than this share of the distance between corners."""
@@ -95,12 +96,14 @@ class BundleProblem:
         self._times = np.array([sighting.time_s for sighting in sightings])
         self._boards = np.array([sighting.board for sighting in sightings])
         cameras, moves = len(start.lenses), start.course.moves
+        self._sheet = sheet_shapes(start.points) if options.board is BoardFreedom.SHEET else None
+        """[3 P, n] m; None where no corner moves, or each by itself."""
         self.layout = Layout(
             cameras,
             tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
             options.clocks and moves and cameras > 1,
             options.readouts and moves,
-            {BoardFreedom.FLAT: 0, BoardFreedom.STRETCHED: 2, BoardFreedom.BENT: 3 * len(start.points)}[options.board],
+            self._shapes(options.board),
         )
         self._columns = self._outer_columns(max(self.layout.lens_sizes, default=0))
         places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
@@ -112,9 +115,13 @@ class BundleProblem:
         """[C] 1 sigma of each camera's delays, s; 0 where they are fixed, as at first."""
         self.hands = Hands()
         """How a board is moved: at first; from the second round on what was measured."""
-        self._stretch = stretch_of(start.points) if options.board is BoardFreedom.STRETCHED else None
         self._step = corner_step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
+
+    def _shapes(self, board: BoardFreedom) -> int:
+        """Numbers of the board's shape that are free."""
+        each = 3 * len(self._start.points) if board is BoardFreedom.BENT else 0
+        return each if self._sheet is None else int(self._sheet.shape[1])
 
     def measure_board(self, state: BundleState) -> None:
         """Sets what the board's corners may be off by to what they are off by."""
@@ -199,7 +206,7 @@ class BundleProblem:
         points = state.points
         if layout.shape:
             shape = outer[layout.board]
-            points = points + (shape if self._stretch is None else self._stretch @ shape).reshape(-1, 3)
+            points = points + (shape if self._sheet is None else self._sheet @ shape).reshape(-1, 3)
         return replace(
             state,
             T_cam_rig=moved(state.T_cam_rig, cameras),
@@ -309,18 +316,18 @@ class BundleProblem:
         views, columns = len(J), J.shape[-1]
         if not self.layout.shape:
             return np.zeros((views, columns, 0)), np.zeros((0, 0))
-        if self._stretch is None:
+        if self._sheet is None:
             products = np.einsum("vpai,vpaj->vipj", J, by_corner).reshape(views, columns, -1)
             return products, block_diag(*np.einsum("vpai,vpaj->pij", by_corner, by_corner))
-        by_stretch = np.einsum("vpai,pij->vpaj", by_corner, self._stretch.reshape(-1, 3, self.layout.shape))
-        rows = by_stretch.reshape(views, -1, self.layout.shape)
+        by_sheet = np.einsum("vpai,pij->vpaj", by_corner, self._sheet.reshape(-1, 3, self.layout.shape))
+        rows = by_sheet.reshape(views, -1, self.layout.shape)
         products = J.reshape(views, -1, columns).swapaxes(1, 2) @ rows
         return products, (rows.swapaxes(1, 2) @ rows).sum(0)
 
     def _shape(self, state: BundleState) -> Float64:
         """What of the board's shape is held, in sigmas."""
         off = (state.points - self._start.points).ravel()
-        return off / self._tolerance if self._stretch is None else np.linalg.pinv(self._stretch) @ off / STRETCH_SIGMA
+        return off / self._tolerance if self._sheet is None else np.linalg.pinv(self._sheet) @ off / SHEET_SIGMA
 
     def _slopes(self, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
         """How what the images `views` of one camera show changes."""
@@ -376,7 +383,7 @@ class BundleProblem:
             )
         if layout.shape:
             columns = np.arange(layout.board.start, layout.board.stop)
-            sigma = self._tolerance if self._stretch is None else STRETCH_SIGMA
+            sigma = self._tolerance if self._sheet is None else SHEET_SIGMA
             equations.add_outer(columns, np.eye(len(columns)) / sigma**2, -self._shape(state) / sigma)
 
 

@@ -93,9 +93,9 @@ def solve_bundle(
 
 
 def with_board_that_pays(flat: BundleResult, given: Sequence[Sighting], options: BundleOptions) -> BundleResult:
-    """The bundle over a board that is stretched, or bent, where that explains enough; `given`: what it was made of."""
+    """The bundle over a sheet, or a bent board, where that explains enough; `given`: what it was made of."""
     best = flat
-    for board in (BoardFreedom.STRETCHED, BoardFreedom.BENT):
+    for board in (BoardFreedom.SHEET, BoardFreedom.BENT):
         other = solve_bundle(flat.state, given, replace(options, board=board), flat)
         best = other if board_pays(best, other) else best
     return best

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import rotation_from_quat, transform
+from twin_node.rig.calibrate.board_shape import BoardShape, board_shape
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
 from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
@@ -81,6 +82,8 @@ class LensCalibration:
     residuals: tuple[Float64, ...]
     """Per view: [N, 2] found minus projected, pixels."""
     dropped: tuple[DroppedView, ...]
+    board: BoardShape
+    """What the pictures show of the board's shape."""
 
     @property
     def rms_px(self) -> float:
@@ -102,7 +105,7 @@ def calibrate_lens(
 ) -> LensCalibration:
     """The lens that explains the views best; views that do not fit are dropped and named.
 
-    The board's corners are refined with it where the views say clearly that the board is not flat or stretched.
+    The board's corners are refined with it where the views say clearly that the board is bowed, bent or stretched.
     `size`: (width, height) pixels; `source`: named in errors. Raises `RigError` for an unknown model, where too few
     views are left, and where they leave the focal length open: boards that all face the camera look the same from
     far away through a long lens.
@@ -180,6 +183,7 @@ def _refined(
         tuple(BoardView(views[s.board].name, s.corners) for s in bundle.sightings),
         bundle.residuals,
         (*dropped, *(DroppedView(views[s.board].name, "fits no other view") for s in bundle.left_out)),
+        board_shape(board.points, bundle.state.points),
     )
 
 
