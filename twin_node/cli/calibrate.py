@@ -152,7 +152,9 @@ def _show_lens(calibration: LensCalibration, pictures: int) -> None:
     for row in calibration.coverage:
         print("  " + " ".join(f"{count or '.':>5}" for count in row))
     if calibration.board.off_m:
-        print(f"board: corners {1e3 * calibration.board.off_m:.2f} mm off the flat print stated: the lens allows for that")
+        print(
+            f"board: corners {1e3 * calibration.board.off_m:.2f} mm off the flat print stated: the lens allows for that"
+        )
     _show_dropped(calibration.dropped)
 
 
