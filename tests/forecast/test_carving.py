@@ -16,7 +16,7 @@ from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.verdicts import Carved
 from twin_node.geometry import transform
-from twin_node.scene import Bool, Camera, Float32, FrameSet, TwinState, View
+from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, TwinState, View
 
 CENTER = np.array([0.1, -0.05, 0.45])
 
@@ -359,3 +359,68 @@ def test_a_camera_without_depth_does_not_see_past_what_another_measures_to_move(
     front = alone[np.linalg.norm(GRID.centers(alone) - RIG[0].T_base_cam[:3, 3], axis=1) < 2.01]
     assert len(front) > 20
     assert np.isin(front, both).mean() > 0.9
+
+
+def beyond(cam: Camera, center: Float64) -> NDArray[np.int64]:
+    """Flat index [1] of the voxel 0.3 m behind a place, as a camera sees it."""
+    away = center - cam.T_base_cam[:3, 3]
+    return GRID.indices((center + 0.3 * away / np.linalg.norm(away))[None])
+
+
+def block_at(center: Float64) -> NDArray[np.int64]:
+    """Flat indices [n] of a block of voxels."""
+    return np.flatnonzero(np.abs(GRID.centers(np.arange(GRID.size)) - center).max(axis=1) < 0.1)
+
+
+def test_a_camera_whose_depth_image_is_lost_does_not_see_past_what_stands_before_the_grid() -> None:
+    """A screen between the camera and the workspace: no voxel stands there."""
+    state = state_of(0, None, cameras=RIG[:1], with_depth=True)
+    (view,) = state.frames.views
+    assert view.depth is not None
+    screen = np.where(np.arange(WIDTH) < WIDTH // 2, np.float32(0.5), view.depth)
+    carver = Carver(RigTables(GRID))
+    carver.carve(replace(state, frames=replace(state.frames, views=(replace(view, depth=screen),))), 0.0)
+    unknown = carver.carve(state_of(33_000_000, None, cameras=RIG[:1]), 0.0).unknown.mask()
+    centers = GRID.centers(np.arange(GRID.size))
+    pixel = pixels_of(view.camera, centers)
+    assert unknown[(pixel >= 0) & (pixel % WIDTH < WIDTH // 2)].all()
+    assert not unknown[(pixel >= 0) & (pixel % WIDTH >= WIDTH // 2) & (centers[:, 2] > 0.1)].any()
+
+
+def test_a_camera_without_depth_sees_past_neither_what_stands_nor_what_is_measured_to_move() -> None:
+    ball, stands, bare = (np.array([x, 0.1, 0.45]) for x in (0.3, -0.3, 0.0))
+    measured, flat = state_of(0, ball, 0.1, RIG[:1], with_depth=True), state_of(0, None, cameras=RIG[1:2])
+    (view,), (mask,) = measured.frames.views, measured.moving_masks
+    assert view.depth is not None
+    only_ball = replace(view, depth=np.where(mask, view.depth, 0).astype(np.float32))
+    frames, masks = FrameSet(0, (only_ball, *flat.frames.views)), (mask, *flat.moving_masks)
+    state = replace(measured, frames=frames, moving_masks=masks, robot_masks=(None, None))
+    held = not_free(Carver(RigTables(GRID)).carve(state, 0.0, Opaque(block_at(stands))))
+    assert np.isin([beyond(RIG[1], ball), beyond(RIG[1], stands)], held).all()
+    assert not np.isin(beyond(RIG[1], bare), held).any()
+
+
+def test_what_stands_hides_other_space_from_a_camera_that_was_moved() -> None:
+    carver, stands = Carver(RigTables(GRID)), np.array([0.1, -0.25, 0.45])
+    opaque = Opaque(block_at(stands))
+    for cam in (RIG[0], replace(RIG[1], name=RIG[0].name)):
+        unknown = carver.carve(state_of(0, None, cameras=(cam,)), 0.0, opaque).unknown
+        assert unknown.holds(beyond(cam, stands)).all()
+
+
+def test_stamps_since_1970_are_no_skew() -> None:
+    sizes = [len(carve(state_of(stamp, CENTER), 2.0).may_move.indices()) for stamp in (0, 1_700_000_000_000_000_000)]
+    assert sizes[0] == sizes[1]
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_a_view_of_long_ago_shows_nothing(with_depth: bool) -> None:
+    """Its masks were widened all over the image, which took minutes; of another clock, the process ended."""
+    state = state_of(0, CENTER, cameras=RIG[:2], with_depth=with_depth)
+    old, now = state.frames.views
+    views = (old, replace(now, stamp=60_000_000_000))
+    late = replace(state, stamp=views[1].stamp, frames=FrameSet(views[1].stamp, views))
+    without = replace(
+        late, frames=FrameSet(late.stamp, views[1:]), moving_masks=late.moving_masks[1:], robot_masks=(None,)
+    )
+    assert np.array_equal(carve(late, 2.0).unknown.words, carve(without, 2.0).unknown.words)

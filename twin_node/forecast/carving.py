@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class Carver:
         """Moving and unknown voxels of a state; `speed` (m/s) is how fast things may move between unequal stamps.
 
         `opaque`: None: as for the state before. States come in rising order of stamps: what each depth camera saw
-        behind moving things before is remembered.
+        behind moving things before is remembered. A view that may be off by more than half of its image shows nothing.
         Raises `ForecastError` for images or masks that are not of their camera's size, and for a camera whose
         calibration error cannot be.
         """
@@ -83,7 +83,9 @@ class Carver:
             error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             backdrop = None if view.depth is None else self._backdrops.of(view)
-            looks.append(Look(table, view, moving, robot, backdrop, pixels))
+            look = Look(table, view, moving, robot, backdrop, pixels)
+            # Beyond that what it shows may be anywhere by now, and takes minutes to widen.
+            looks.append(look if pixels <= max(moving.shape) / 2 else _showing_nothing(look))
         sights = sights_of(looks, self.parameters)
         flat = [(look, sight) for look, sight in zip(looks, sights, strict=True) if look.view.depth is None]
         measured = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
@@ -126,6 +128,11 @@ class Carver:
                 f"{camera.sigma_m:g}; correct the rig"
             )
         return self.parameters.sigmas * (camera.sigma_m or self.parameters.assumed_sigma_m)
+
+
+def _showing_nothing(look: Look) -> Look:
+    """A look none of whose pixels counts."""
+    return replace(look, view=replace(look.view, valid=np.zeros_like(look.moving)), error_pixels=_PIXEL_ERROR)
 
 
 class _Fronts:
