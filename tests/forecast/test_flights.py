@@ -103,9 +103,10 @@ def test_the_parts_of_what_falls_stop_as_its_lowest_does() -> None:
     height = 10
     top = GRID.origin[2] + (height + 1) * GRID.voxel_size
     middle = GRID.origin + np.array([0.6, 0.6, 0.0])
-    centers = np.tile(middle, (2, 1))
-    centers[:, 2] = top + 0.25 + np.array([0.0, 0.12])
-    whole = falling(centers, np.array([0.5, 0.0, -2.0]), np.array([0.05, 0.17]))
+    above = np.array([0.05, 0.17, 1.8])  # the last, of a long pole, gets nowhere near by itself
+    centers = np.tile(middle, (3, 1))
+    centers[:, 2] = top + 0.2 + above
+    whole = falling(centers, np.array([0.5, 0.0, -2.0]), above)
     floors = floors_of(GRID, table_at(height), centers, whole)
     assert np.allclose(floors, top + whole.above)
 

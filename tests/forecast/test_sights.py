@@ -43,7 +43,7 @@ def random_look(rng: np.random.Generator, error_pixels: float) -> Look:
     masks = [patches(rng, height, width, share) for share in (0.5, 0.3, 0.8)]
     robot, valid = (mask if rng.uniform() < 0.7 else None for mask in masks[1:])
     depth = depths(rng, height, width) if rng.uniform() < 0.8 else None
-    backdrop = None if depth is None else (depth + rng.choice([0, 0.02, 0.5, 1e6], depth.shape)).astype(np.float32)
+    backdrop = None if depth is None else (depth + rng.choice([0, 0.02, 0.1, 0.5, 1e6], depth.shape)).astype(np.float32)
     view = View(camera, 0, np.zeros((height, width, 3), np.uint8), depth, valid)
     return Look(CameraTable(camera, BLOCKS), view, masks[0], robot, backdrop, error_pixels)
 

@@ -72,6 +72,24 @@ def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(wit
     assert (space.opaque.error_m > 0) != with_depth
 
 
+def test_the_arm_does_not_stand() -> None:
+    """Its surface is measured where it hangs still."""
+    state, carver, space = state_of(0, None, with_depth=True), Carver(RigTables(GRID)), StaticSpace(GRID)
+    masks = tuple(np.ones_like(mask) for mask in state.moving_masks)
+    state = replace(state, robot_masks=masks)
+    carver.carve(state, 0.0)
+    assert len(space.update(state, carver).indices) == 0
+
+
+def test_what_was_measured_to_stand_hides_what_is_behind_it_while_no_depth_image_comes() -> None:
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    for stamp, with_depth in ((0, True), (2_000_000_000, False)):
+        state = state_of(stamp, None, with_depth=with_depth)
+        carver.carve(state, 0.0)
+        space.update(state, carver)
+        assert len(space.opaque.indices) and space.opaque.error_m == 0
+
+
 def noisy(state: TwinState, rng: np.random.Generator, sigma_m: float) -> TwinState:
     views = tuple(
         replace(one, depth=one.depth + rng.normal(0, sigma_m, one.depth.shape).astype(np.float32))

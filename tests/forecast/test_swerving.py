@@ -26,18 +26,34 @@ STRAIGHT_S = 0.3
 """Time before it brakes."""
 
 
-@given(st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.floats(0, 1))
-def test_swerves_are_held_from_one_end_to_the_other(
-    led: tuple[float, float, float], aside: tuple[float, float, float], share: float
-) -> None:
-    places = np.stack(np.meshgrid(*[np.arange(18, 22)] * 3, indexing="ij")).reshape(3, -1).astype(np.int32)
-    points = Points(places, np.zeros(places.shape[1], np.int64), np.ones(places.shape[1], np.bool_))
-    start, far = np.reshape(led, (1, 1, 3)), np.reshape(np.add(led, aside), (1, 1, 3))
-    ways = beside(Ways(points, start, np.full((1, 1), 0.04)), points, Swerves(far, np.ones(1, np.bool_)))
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_swerves_are_held_from_one_end_to_the_other(seed: int, share: float) -> None:
+    """Of several nodes, each with a rim, some of which do not swerve."""
+    rng, nodes = np.random.default_rng(seed), 3
+    block = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij")).reshape(3, -1)
+    corners = rng.integers(8, 26, (nodes, 3))
+    places = np.concatenate([corner[:, None] + block for corner in corners], axis=1).astype(np.int32)
+    labels = np.repeat(np.arange(nodes), block.shape[1])
+    points = Points(places, labels, np.ones(len(labels), np.bool_))
+    led, aside = rng.uniform(-0.2, 0.2, (1, nodes, 3)), rng.uniform(-0.3, 0.3, (1, nodes, 3))
+    swerving = rng.uniform(size=nodes) < 0.6
+    ways = beside(Ways(points, led, np.full((1, nodes), 0.04)), points, Swerves(led + aside, swerving))
     held = spread(GRID, ways.points, shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii))[0].indices
-    middle = GRID.origin + (places.mean(axis=1) + 0.5) * GRID.voxel_size + led + share * np.array(aside)
-    place = GRID.indices(middle[None])
-    assert np.isin(place[place >= 0], held).all()
+    middles = GRID.origin + (corners + 2.0) * GRID.voxel_size + led[0] + share * aside[0] * swerving[:, None]
+    found = GRID.indices(middles)
+    assert np.isin(found[found >= 0], held).all()
+
+
+def test_neither_rims_nor_what_goes_on_straight_are_held_where_something_swerves_to() -> None:
+    places = np.array([[20, 20, 10], [20, 20, 10], [10, 20, 24]], np.int32)  # a core and its rim, and another's core
+    points = Points(places, np.array([0, 0, 1]), np.array([True, False, True]))
+    far = np.zeros((1, 2, 3))
+    far[0, :, 1] = 0.4
+    ways = beside(Ways(points, 0 * far, np.full((1, 2), 0.04)), points, Swerves(far, np.array([True, False])))
+    held = spread(GRID, ways.points, shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii))[0].indices
+    _, y, z = GRID.centers(held.astype(np.int64)).T
+    assert (y > 0.3).any()
+    assert (z[y > 0.3] < 0.4).all(), "the core's height"
 
 
 def test_what_stays_in_its_bound_does_not_swerve_and_nothing_swerves_without_end() -> None:
