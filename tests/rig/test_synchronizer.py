@@ -151,12 +151,27 @@ def test_a_camera_that_misses_images_is_waited_for_again_whatever_its_rate(rate_
     assert complete.count(False) <= 2 * (missed + 2)
 
 
+def test_a_camera_of_half_the_rate_that_comes_back_is_waited_for_again() -> None:
+    sync = ApproximateTimeSynchronizer[None](["fast", "slow"], SyncParameters(deadline_ns=100 * MS))
+    complete = []
+    for k in range(120):
+        for name in ("fast", "slow") if k % 2 == 0 and not 30 <= k < 60 else ("fast",):
+            complete += [None not in s.members for s in sync.add(name, k * 33 * MS, None, now=k * 33 * MS)]
+    assert complete[-20:] == [True] * 20
+
+
+@pytest.mark.parametrize("common_ms", [0, 150])
 @pytest.mark.parametrize(("lag_ms", "returns"), [(40, True), (75, True), (95, False), (250, False)])
-def test_a_camera_of_a_slower_link_that_comes_back_is_waited_for_again(lag_ms: int, returns: bool) -> None:
-    """Meanwhile the others' sets go out at once, and all that it sends is of before the last of them."""
+def test_a_camera_of_a_slower_link_that_comes_back_is_waited_for_again(
+    lag_ms: int, returns: bool, common_ms: int
+) -> None:
+    """Meanwhile the others' sets go out at once, and all that it sends is of before the last of them.
+
+    By how much all of them are late does not count.
+    """
     sync = ApproximateTimeSynchronizer[None](["a", "slow link"], SyncParameters(deadline_ns=100 * MS))
-    arrivals = [(k * 33 * MS, "a", k) for k in range(90)]
-    arrivals += [((k * 33 + lag_ms) * MS, "slow link", k) for k in range(90) if not 30 <= k < 36]
+    arrivals = [((k * 33 + common_ms) * MS, "a", k) for k in range(90)]
+    arrivals += [((k * 33 + common_ms + lag_ms) * MS, "slow link", k) for k in range(90) if not 30 <= k < 36]
     complete = []
     for now, name, k in sorted(arrivals):
         complete += [None not in s.members for s in sync.add(name, k * 33 * MS, None, now)]
