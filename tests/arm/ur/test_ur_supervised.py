@@ -124,7 +124,7 @@ def test_a_hanging_driver_is_replaced(shift: Shift) -> None:
     hanging = shift.driver.pid
     assert hanging is not None
     os.kill(hanging, signal.SIGSTOP)
-    shift.until_state(DriverState.HALTED, "driver process silent")
+    shift.until_state(DriverState.HALTED, "driver process silent for 0.5 s")
     assert shift.driver.pid != hanging
     assert shift.stand_in.status().runtime_state == "PAUSED"
 
