@@ -151,13 +151,14 @@ def test_light_may_change_slowly_about_what_stands() -> None:
     assert not any(cell.show(glow).any() for _ in range(300))
 
 
-def test_what_turns_slowly_after_it_has_stood_is_in_it_again() -> None:
+@pytest.mark.parametrize("levels", [3, -3])
+def test_what_turns_slowly_after_it_has_stood_is_in_it_again(levels: int) -> None:
     """From image to image it looks the same."""
     cell = Cell()
     assert not cell.rested().any()
 
     def fade(since: int, rgb: UInt8, depth: Float32) -> None:
-        rgb[PLACE] = np.clip(rgb[PLACE].astype(int) + 3 * (since - STILL), 0, 255).astype(np.uint8)
+        rgb[PLACE] = np.clip(rgb[PLACE].astype(int) + levels * (since - STILL), 0, 255).astype(np.uint8)
 
     assert any(cell.show(fade)[PLACE].mean() > 0.95 for _ in range(30))
 
