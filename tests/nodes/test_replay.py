@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from twin_logs import with_gripper
 
-from twin_node.bag import open_log
+from twin_node.bag import LogWriter, open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.messages import convert
@@ -235,6 +235,22 @@ def test_start_and_duration_choose_a_part_of_the_log(cell_log: Callable[..., Pat
     assert max(evidence) <= begin + 350_000_000
 
 
+def test_a_log_that_shows_nothing_is_not_blamed_on_stamps(
+    cell_log: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    """Behind their caps, cameras were said to have stamps too far apart."""
+    dark, black = tmp_path / "dark.mcap", convert.compressed_image("", 0, np.zeros((240, 320, 3), np.uint8))
+    with open_log(cell_log(SECONDS)) as log, LogWriter(dark) as written:
+        for message in log.messages():
+            if message.topic.endswith("/image_raw/compressed"):
+                message.message.data = black.data
+            if "/depth/" not in message.topic:
+                written.write(message.topic, message.message, message.stamp)
+    told = refused("replay", dark, "-o", tmp_path / "out.mcap", "--duration", "0.3", "--lockstep")
+    assert "sets of cam_back, cam_front, cam_left show nothing, black or burnt out" in told
+    assert not (tmp_path / "out.mcap").exists()
+
+
 def test_a_truncated_log_is_replayed_up_to_the_damage(
     cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -260,7 +276,6 @@ def test_a_camera_that_comes_later_is_left_out_in_turn_like_the_others(
 
 def test_a_foreign_log_works_through_rig_and_remap(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     """Topics with other names, and calibration from a rig file instead of the log's own."""
-    from twin_node.bag import LogWriter
     from twin_node.nodes.log_source import LogSession
     from twin_node.rig import RigFile, save_rig
 

@@ -201,7 +201,7 @@ class _Engine:
                     return frames
             sets.clear()
         if first is None:
-            raise _no_sets(self._session)
+            raise _nothing_followed(self._session, 0)
         return first
 
     def _chain(
@@ -237,7 +237,7 @@ class _Engine:
     ) -> Run:
         """What the run leaves behind; `read`: what was said by who has read for it, None in lockstep."""
         if collector.newest_state is None:
-            raise _no_sets(self._session)
+            raise _nothing_followed(self._session, collector.arrived.sets)
         chain.stop()
         collector.end()
         return Run(
@@ -259,9 +259,17 @@ class _Engine:
         )
 
 
-def _no_sets(session: LogSession) -> GraphError:
+def _nothing_followed(session: LogSession, sets: int) -> GraphError:
+    """Why no model was made, of so many sets that came."""
     names = ", ".join(camera.name for camera in session.rig.cameras)
-    return GraphError(
-        f"{session.log.path}: no set of images of {names} within {session.span.seconds:.2f} s; the cameras' stamps lie "
-        "too far apart, or the span is too short: see their times with 'twin_node check', or give a longer --duration"
-    )
+    if sets:
+        why = (
+            f"all {sets} sets of {names} show nothing, black or burnt out: uncover the cameras or mend the light, or "
+            "begin where they show something, by --start-offset"
+        )
+    else:
+        why = (
+            f"no set of images of {names} within {session.span.seconds:.2f} s; the cameras' stamps lie too far apart, "
+            "or the span is too short: see their times with 'twin_node check', or give a longer --duration"
+        )
+    return GraphError(f"{session.log.path}: {why}")
