@@ -142,7 +142,8 @@ def test_the_report_holds_every_figure_by_its_name(lockstep: Path) -> None:
     for scores in (forecast, *forecast["baselines"].values()):
         assert {"recall", "recall_now", "recall_new", "volume_l", "inflation", "iou", "error_mm"} <= set(scores)
     assert forecast["truth"] == "/truth/occupancy"
-    assert set(figures["arm"]) == {"min_distance_m", "min_speed_fraction", "contacts"}
+    assert set(figures["arm"]) == {"min_distance_m", "min_speed_fraction", "contacts", "is_made_up"}
+    assert not figures["arm"]["is_made_up"]
     assert {"parameters", "bytes_per_frame", "peak_rss_mb", "rate_hz"} <= set(figures)
     for name, value in forecast.items():
         if value is None:

@@ -19,10 +19,11 @@ from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
-from twin_node.nodes.report.page import ReportError, _lead, _write
+from twin_node.nodes.report.page import ReportError, _cards, _lead, _write
 from twin_node.nodes.report.quality import Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
+from twin_node.nodes.topics import JOINT_STATES, TRAJECTORY
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import FrameSet, Separation
@@ -58,6 +59,28 @@ def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:
     assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown <= set(figures["reasons"])
     assert figures["forecast"]["coverage_target"] == 0.99
     assert "near" in figures["reasons"]["arm.min_distance_m"]
+
+
+@pytest.mark.parametrize("topic", [None, JOINT_STATES, TRAJECTORY])
+def test_a_made_up_arm_is_called_so(topic: str | None) -> None:
+    """Distances to an arm that is not there stood beside the pictures of a cell without one."""
+    run, session = short_run(), SimpleNamespace(span=SimpleNamespace(seconds=1.0), rig=SimpleNamespace(cameras=()))
+    run.collector.configure()
+    run.collector.activate()
+    if topic is not None:
+        run.collector.bus.publish(topic, object())
+    figures = figures_of(run, Quality(), {}, Foresight())
+    labels = [card["label"] for card in _cards(figures)]
+    told = ["made-up ur10e" in _lead(cast(LogSession, session), run), figures["arm"]["is_made_up"]]
+    told += [f"smallest distance to {whose} arm" in labels for whose in ("a made-up", "the")]
+    told.append(figures["reasons"]["quality.psnr_arm_db"] == "nothing is told of an arm")
+    assert told == [topic is None, topic is None, topic is None, topic is not None, topic is None]
+
+
+def test_the_first_set_of_lockstep_builds_the_model_and_is_no_work_per_set() -> None:
+    run = short_run()
+    run.collector.work_ms = [9000.0, 20.0, 20.0]
+    assert figures_of(run, Quality(), {}, Foresight())["latency_ms"]["p99"] == 20.0
 
 
 @pytest.mark.parametrize(("seconds", "is_told"), [(10, False), (3600, True)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.nodes.report.pictures import camera_column, table
+from twin_node.nodes.report.pictures import _broken, camera_column, table
 from twin_node.scene import Float32
 
 
@@ -22,3 +22,16 @@ def test_rows_are_in_line_where_cameras_are_not_of_one_size() -> None:
         for drawn in (row[:, :wide], row[:short, wide + 6 :]):
             assert (drawn == round(255 * level)).all()
         assert (row[short:, wide + 6 :] == 255).all() and (row[:, wide : wide + 6] == 255).all()
+
+
+def test_curves_break_where_there_were_no_sets() -> None:
+    """Over a pause of minutes they ran on, as if all that time had been measured."""
+    seconds = np.array([0.0, 0.1, 0.2, 600.0, 600.1])
+    times, values = _broken(seconds, np.array([1, 2, 3, 4, 5]))
+    np.testing.assert_allclose(times, [0.0, 0.1, 0.2, 0.3, 600.0, 600.1])
+    np.testing.assert_array_equal(values, [1, 2, 3, np.nan, 4, 5])
+
+
+def test_curves_of_few_sets_a_second_do_not_break() -> None:
+    for seconds in (np.arange(5) * 2.0, np.zeros(1), np.zeros(0)):
+        assert not np.isnan(_broken(seconds, seconds)[1]).any()

@@ -12,7 +12,17 @@ from twin_node.messages import Message, convert
 from twin_node.nodes.forecast import Forecast
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
-from twin_node.nodes.topics import DRIFT, FORECAST, FRAMES, SEEN, SEPARATION, STATE, TRUSTED_FRAMES
+from twin_node.nodes.topics import (
+    DRIFT,
+    FORECAST,
+    FRAMES,
+    JOINT_STATES,
+    SEEN,
+    SEPARATION,
+    STATE,
+    TRAJECTORY,
+    TRUSTED_FRAMES,
+)
 from twin_node.rig.drift_report import DriftReport
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
@@ -36,6 +46,8 @@ class CollectorNode(Node):
         """From a set's arrival at the chain to the speed decision, by the wall clock."""
         self.tier_counts: list[list[int]] = []
         self.separations: list[Separation] = []
+        self.is_arm_told = False
+        """Whether anything was said of an arm; else a made-up one was judged."""
         self.quality: ForecastQuality | None = None
         """The forecaster's own record, as of the newest set."""
         self.newest_state: TwinState | None = None
@@ -66,6 +78,8 @@ class CollectorNode(Node):
         self.bus.subscribe(STATE, self._on_state)
         self.bus.subscribe(FORECAST, self._on_forecast)
         self.bus.subscribe(SEPARATION, self._on_separation)
+        for topic in (JOINT_STATES, TRAJECTORY):
+            self.bus.subscribe(topic, self._on_arm)
 
     def start(self) -> None:
         """Count latencies from now on: what came before was start-up."""
@@ -125,6 +139,9 @@ class CollectorNode(Node):
         self._forecast = forecast
         self.quality = forecast.quality
         self._count(forecast.quality.warnings)
+
+    def _on_arm(self, _: Message) -> None:
+        self.is_arm_told = True
 
     def _count(self, warnings: tuple[str, ...]) -> None:
         for warning in warnings:

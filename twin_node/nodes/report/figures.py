@@ -20,7 +20,8 @@ from twin_node.scene import Separation, Tier
 def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight) -> dict[str, Any]:
     """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why."""
     collector = run.collector
-    latencies = collector.work_ms if run.is_lockstep else collector.latencies_ms
+    work = collector.work_ms[1:] if run.is_lockstep else collector.work_ms  # the model is built from the first set
+    latencies = work if run.is_lockstep else collector.latencies_ms
     counts = collector.tier_counts[-1] if collector.tier_counts else [0] * len(Tier)
     figures: dict[str, Any] = {
         "mode": "lockstep" if run.is_lockstep else "real time",
@@ -30,14 +31,14 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "scored": None if run.spool is None else len(run.spool),
         "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
         "latency_ms": percentiles(latencies),
-        "work_ms": percentiles(collector.work_ms),
+        "work_ms": percentiles(work),
         "quality": {**asdict(quality), "left_out": {name: asdict(scores) for name, scores in left_out.items()}},
         "tiers": {tier.name.lower(): counts[tier] for tier in Tier},
         "parameters": run.parameters_count,
         "bytes_per_frame": run.bytes_per_frame,
         "peak_rss_mb": run.peak_rss_mb,
         "forecast": {**foresight.figures(), **_coverage(collector.quality)},
-        "arm": _arm(collector.separations),
+        "arm": {**_arm(collector.separations), "is_made_up": not collector.is_arm_told},
         "cameras": _cameras(collector),
         "warnings": dict(collector.warnings),
     }
@@ -103,12 +104,12 @@ def _reasons(figures: Mapping[str, Any], foresight: Foresight, collector: Collec
     reasons |= {f"arm.{name}": undecided for name, value in figures["arm"].items() if value is None}
     for name, value in figures["quality"].items():
         if value is None:
-            has_no_time = figures["mode"] == "lockstep" and name.startswith(("published", "moved_on"))
-            reasons[f"quality.{name}"] = (
-                "in lockstep no cloud is out at a time of its own"
-                if has_no_time
-                else "no image had 50 or more pixels of that kind"
-            )
+            reason = "no image had 50 or more pixels of that kind"
+            if figures["mode"] == "lockstep" and name.startswith(("published", "moved_on")):
+                reason = "in lockstep no cloud is out at a time of its own"
+            elif "arm" in name and not collector.is_arm_told:
+                reason = "nothing is told of an arm"
+            reasons[f"quality.{name}"] = reason
     if not figures["quality"]["left_out"]:
         reasons["quality.left_out"] = "one camera cannot be left out of one"
     return reasons

@@ -130,6 +130,11 @@ def _lead(session: LogSession, run: Run) -> str:
     )
     if run.spool is not None and not run.spool.keeps_all:
         lead += f" Pictures and forecasts are scored on {len(run.spool)} sets, in blocks of a second all over the run."
+    if not run.collector.is_arm_told:
+        lead += (
+            f" Nothing is told of an arm: distances and speeds are those of a made-up {run.parameters.arm.model} that "
+            "picks and places in the workspace."
+        )
     return lead
 
 
@@ -155,7 +160,7 @@ def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:
         ("PSNR on moving pixels", _number(quality["psnr_moving_db"], "{:.1f} dB")),
         ("recall 200 ms ahead", _number(forecast["recall"], "{:.1%}")),
         ("Gaussians that move, of all", f"{moving} / {sum(figures['tiers'].values())}"),
-        ("smallest distance to the arm", _number(arm["min_distance_m"], "{:.2f} m")),
+        (f"smallest distance to {_whose(arm['is_made_up'])} arm", _number(arm["min_distance_m"], "{:.2f} m")),
         ("lowest speed fraction", _number(arm["min_speed_fraction"], "{:.0%}")),
         ("peak memory", _number(figures["peak_rss_mb"], "{:.0f} MB")),
     ]
@@ -207,12 +212,19 @@ def _curves(run: Run, foresight: Foresight, start: int) -> list[Captioned]:
     if run.is_lockstep:
         took = ("Work per set", "by the wall clock; without the first, from which the model is built")
     drawn = [
-        (pictures.separation_over_time(seconds, collector.separations), "The arm: distance, required distance, speed"),
+        (
+            pictures.separation_over_time(seconds, collector.separations),
+            f"{_whose(not collector.is_arm_told).capitalize()} arm: distance, required distance, speed",
+        ),
         (pictures.tiers_over_time(seconds, np.array(collector.tier_counts)), "Gaussians per tier"),
         (pictures.curves(took[0], "ms", [latency]), ": ".join(took)),
         (pictures.curves("Foreseen", "share", [recall]), "Share of what was seen to move that had been foreseen"),
     ]
     return [Captioned(_encoded(data), caption) for data, caption in drawn]
+
+
+def _whose(is_made_up: bool) -> str:
+    return "a made-up" if is_made_up else "the"
 
 
 def _quality_rows(quality: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -23,6 +23,8 @@ MASK = (255, 0, 160)
 """Colours drawn into images, RGB."""
 ENLARGED_TO = 480
 """Images are shown at least this wide, pixels."""
+GAP_S, GAP_STEPS = 1.0, 4.0
+"""Nothing is drawn between two sets that are farther apart than both: this, and so many of their usual steps."""
 
 mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True})
 mpl.rcParams.update({"grid.color": "#e8eaed", "figure.facecolor": "white", "legend.frameon": False})
@@ -97,7 +99,7 @@ def curves(title: str, unit: str, series: Sequence[Curve]) -> bytes:
     figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     for curve in series:
-        axes.plot(curve.seconds, curve.values, label=curve.label, linewidth=1.2)
+        axes.plot(*_broken(curve.seconds, curve.values), label=curve.label, linewidth=1.2)
     axes.set(title=title, xlabel="time, s", ylabel=unit)
     axes.set_ylim(bottom=0)
     return _png_of(figure, len(series) if len(series) > 1 else 0)
@@ -109,7 +111,7 @@ def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -
     axes = figure.subplots()
     for tier in Tier:
         if counts[:, tier].any():
-            axes.plot(seconds, counts[:, tier], label=tier.name, color=TIER_COLOURS[tier], linewidth=1.4)
+            axes.plot(*_broken(seconds, counts[:, tier]), label=tier.name, color=TIER_COLOURS[tier], linewidth=1.4)
     axes.set(title="Gaussians per tier", xlabel="time, s", yscale="symlog")
     axes.set_ylim(bottom=0)
     return _png_of(figure, len(Tier))
@@ -120,15 +122,26 @@ def separation_over_time(seconds: NDArray[np.float64], separations: Sequence[Sep
     figure = Figure(figsize=(7.2, 3.4), dpi=110, layout="constrained")
     upper, lower = figure.subplots(2, sharex=True)
     distances = np.array([s.distance for s in separations])
-    upper.plot(seconds, np.where(np.isfinite(distances), distances, np.nan), color="#1a73e8", label="nearest")
-    required = [s.required for s in separations]
+    near = np.where(np.isfinite(distances), distances, np.nan)
+    upper.plot(*_broken(seconds, near), color="#1a73e8", label="nearest")
+    required = np.array([s.required for s in separations])
     label = "required at full speed, of what falls most short"
-    upper.plot(seconds, required, color="#d93025", linewidth=1, label=label)
+    upper.plot(*_broken(seconds, required), color="#d93025", linewidth=1, label=label)
     upper.axhline(0, color="#202124", linewidth=0.8)
     upper.set(title="Smallest distance along the arm's next 200 ms", ylabel="m")
-    lower.fill_between(seconds, [s.speed_fraction for s in separations], color="#34a853", alpha=0.5, step="post")
+    speeds = _broken(seconds, np.array([s.speed_fraction for s in separations]))
+    lower.fill_between(*speeds, color="#34a853", alpha=0.5, step="post")
     lower.set(ylabel="speed fraction", xlabel="time, s", ylim=(0, 1.05))
     return _png_of(figure, 2)
+
+
+def _broken(seconds: NDArray[np.float64], values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Times [T] and values [T] of a curve, NaN one step into every pause: what was not measured is not drawn."""
+    steps = np.diff(seconds)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    after = np.flatnonzero(steps > max(GAP_S, GAP_STEPS * usual)) + 1
+    ends = seconds[after - 1] + usual
+    return [np.insert(seconds, after, ends), np.insert(values.astype(np.float64), after, np.nan)]
 
 
 def _png_of(figure: Figure, names: int) -> bytes:
