@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from twin_logs import MOMENTS, PERIOD, START, cloud_at
 
 from twin_node.bag import LogWriter, open_log
+from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.export import LogSource
 from twin_node.nodes.overlays import arm_mask
@@ -52,6 +53,21 @@ def test_before_the_first_message_nothing_is_known(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         shown = playback.at(START - 1)
         assert shown.cloud is None and shown.obstacles is None and shown.joints is None and shown.frames is None
+
+
+@pytest.mark.parametrize(("late_s", "words"), [(0.5, None), (9e6, "9000000.0 s before"), (-60.0, "60.0 s after")])
+def test_a_log_recorded_by_another_clock_than_that_of_its_stamps_is_told(
+    twin_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], late_s: float, words: str | None
+) -> None:
+    """Its tables of obstacles were empty, in silence: none of them was valid at a time of the log."""
+    late = tmp_path / "late.mcap"
+    with open_log(twin_log) as log, LogWriter(late) as written:
+        for entry in log.messages():
+            written.write_raw(entry.topic, entry.msgtype, entry.data, entry.stamp + round(late_s * 1e9))
+    assert main(["export", str(late), "--to", "csv", "-o", str(tmp_path / "out"), "--at", "0.2"]) == 0
+    told = capsys.readouterr().err
+    assert ("by another clock" in told) is (words is not None)
+    assert words is None or f"/twin/obstacles is stamped {words} it was recorded" in told
 
 
 @pytest.fixture

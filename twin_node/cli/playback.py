@@ -22,7 +22,7 @@ def open_playback(
 ) -> Iterator[Playback]:
     """The logs of a run, open; says what of them cannot be read: at once, or at the end where only reading told.
 
-    Says too which of them are of another time: the last images before it would be shown as if they were of it.
+    Says too which of them are of another time, or stamped by another clock: what they show would be of no time of it.
     `width`: of the images, px; `rig`: a rig file; without images no calibration is needed; `remaps`: FROM:=TO.
     """
     from twin_node.nodes.playback import Playback
@@ -30,7 +30,7 @@ def open_playback(
 
     with Playback(logs, width, rig, with_images, parse_remaps(remaps)) as playback:
         known = playback.damage
-        _warn((*known, *playback.left_out, *playback.apart))
+        _warn((*known, *playback.left_out, *playback.apart, *playback.doubts))
         try:
             yield playback
         finally:

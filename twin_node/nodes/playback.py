@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from twin_node.bag import LogMessage, LogReader, open_log
 from twin_node.bag.latched import newest_before
+from twin_node.messages import MessageError, header_stamp
 from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
+from twin_node.nodes.log_doubts import OTHER_CLOCK_NS
 from twin_node.nodes.renaming import Renamed, of_log, renamed
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import (
     DEPTH_BY_NAME,
     JOINT_STATES,
+    OBSTACLES,
     RECORDED,
     TF_STATIC,
     CameraTopics,
@@ -27,6 +32,8 @@ from twin_node.scene import Camera
 
 LONGEST_STEP_NS = 2_000_000_000
 """A step forward in time that is no longer is read through; after a longer one each topic's newest is looked for."""
+CLOCK_TOLD_BY = 5
+"""Messages that tell whether a log was recorded by the clock of their stamps: the first may be late."""
 
 
 class Playback:
@@ -86,6 +93,23 @@ class Playback:
             f"{log.path}: it ends before the twin's log begins, or begins after its end; is it of another run?"
             for log in self._logs
             if log.end_ns < self.start_ns or log.start_ns > self.end_ns
+        )
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """A line where obstacles were recorded by another clock than that of their stamps: none of them counts then."""
+        late_ns: list[int] = []
+        with contextlib.suppress(MessageError):  # of damaged ones who shows them tells
+            said = itertools.islice(self._messages(OBSTACLES), CLOCK_TOLD_BY)
+            late_ns += [entry.stamp - header_stamp(entry.message) for entry in said]
+        apart_ns = min(late_ns, key=abs, default=0)
+        if abs(apart_ns) <= OTHER_CLOCK_NS:
+            return ()
+        when = "before" if apart_ns > 0 else "after"
+        return (
+            f"{self.name}: {OBSTACLES} is stamped {abs(apart_ns) / 1e9:.1f} s {when} it was recorded, by another "
+            "clock: which obstacles and forecasts count at a time of the log is not known: they are missing or wrong; "
+            "record by the clock of the stamps (a simulator's or a log's: ros2 bag record --use-sim-time)",
         )
 
     @property
