@@ -38,7 +38,7 @@ with mujoco.viewer.launch_passive(model, data) as viewer:
     while viewer.is_running():
         begun = time.monotonic()
         for key in range(model.nkey):
-            time.sleep(max(model.key_time[key] - (time.monotonic() - begun), 0))
+            time.sleep(max(model.key_time[key] - (time.monotonic() - begun), 0.01))  # of one moment, too
             mujoco.mj_resetDataKeyframe(model, data, key)
             mujoco.mj_forward(model, data)
             viewer.sync()
