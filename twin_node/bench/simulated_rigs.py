@@ -42,6 +42,8 @@ class RigSpread:
     frame_rates_hz: tuple[float, ...] = (7.5, 10.0, 15.0)
     seconds: float = 60.0
     """Length of a recording."""
+    bow_m: tuple[float, float] = (0.0, 0.005)
+    """By how much the board's farthest corners stand off the plane in its middle: sheets are never flat."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def simulated_rig(spread: RigSpread, rng: np.random.Generator) -> SimulatedRig:
     """A rig drawn from `spread` and its recording of the board."""
     count = int(rng.integers(spread.cameras[0], spread.cameras[1] + 1))
     poses = _placed(count, spread, rng)
-    motion = _Motion(rng)
+    motion, points = _Motion(rng), _bowed(spread, rng.spawn(1)[0])
     offsets = rng.uniform(-spread.offset_s, spread.offset_s, count)
     rates = rng.uniform(-spread.rate_ppm, spread.rate_ppm, count)
     recordings, lenses = [], []
@@ -73,7 +75,8 @@ def simulated_rig(spread: RigSpread, rng: np.random.Generator) -> SimulatedRig:
         lens = _lens(spread, rng)
         lenses.append(lens)
         noise = rng.uniform(*spread.noise_px)
-        found = tuple(_seen(lens, inverse_pose(T) @ motion.at(t), noise, spread.outliers, rng) for t in times.tolist())
+        seen = (inverse_pose(T) @ motion.at(t) for t in times.tolist())
+        found = tuple(_seen(points, lens, T_cam_board, noise, spread.outliers, rng) for T_cam_board in seen)
         stamps = START_NS + np.rint(own * 1e9).astype(np.int64)
         images = tuple(f"frame {number}" for number in range(len(times)))
         recordings.append(CameraRecording(f"cam_{i}", (lens.width, lens.height), stamps, images, found))
@@ -120,6 +123,14 @@ def _looking(centre: Float64, target: Float64, roll: float) -> Float64:
     return pose(upright @ Rotation.from_euler("z", roll).as_matrix(), centre)
 
 
+def _bowed(spread: RigSpread, rng: np.random.Generator) -> Float64:
+    """[P, 3] m: the board's corners, rolled up along some direction."""
+    flat = BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)
+    direction = rng.uniform(0, np.pi)
+    along = flat @ [np.cos(direction), np.sin(direction)] / np.linalg.norm(flat, axis=1).max()
+    return np.asarray(BOARD.points + np.outer(rng.uniform(*spread.bow_m) * along**2, [0.0, 0.0, 1.0]))
+
+
 def _lens(spread: RigSpread, rng: np.random.Generator) -> Lens:
     """A lens with the barrel distortion, off-centre sensor and tilt of what is on sale."""
     focal = spread.width / 2 / np.tan(np.radians(rng.uniform(*spread.field_deg)) / 2)
@@ -131,10 +142,10 @@ def _lens(spread: RigSpread, rng: np.random.Generator) -> Lens:
 
 
 def _seen(
-    lens: Lens, T_cam_board: Float64, noise_px: float, outliers: float, rng: np.random.Generator
+    points: Float64, lens: Lens, T_cam_board: Float64, noise_px: float, outliers: float, rng: np.random.Generator
 ) -> Corners | None:
-    """The corners of the board in one image; None where it shows none."""
-    places = transform(T_cam_board, BOARD.points)
+    """The corners of a board [P, 3] in one image; None where it shows none."""
+    places = transform(T_cam_board, points)
     if places[:, 2].min() < 0.2 or (T_cam_board[:3, 2] @ T_cam_board[:3, 3]) < 0.25 * np.linalg.norm(
         T_cam_board[:3, 3]
     ):
