@@ -10,7 +10,7 @@ import torch
 from model_scenes import camera, frames, with_joints
 
 from twin_node.model import MapParameters, ModelError, ModelParameters, SeedParameters, WindowModel
-from twin_node.model.gaussians import Newborns
+from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.nodes import Nodes
 from twin_node.model.robot_links import RobotLinks, arm_depth, links_of
 from twin_node.robot import forward_kinematics, place_capsules, robot_mask, ur_model
@@ -151,6 +151,25 @@ def test_what_stood_behind_the_arm_is_learnt_when_the_arm_has_left() -> None:
     behind, beside = np.mean([errors_behind_and_beside(steps) for steps in (100, 110, 120, 130)], axis=0)
     assert behind < 0.075
     assert beside < 0.02
+
+
+def test_what_no_camera_sees_beside_the_arm_is_the_arm_s_though_it_lies_off_it() -> None:
+    """A hand-eye pose 5 mm off left a Gaussian of the arm's rim standing 4 cm beside it: it held the arm for good."""
+    nodes, sample = Nodes(16, 8), JointSample(0, ARM.joint_names, Q, np.zeros(6))
+    links = RobotLinks(ARM, nodes, sample)
+    placed = place_capsules(ARM, forward_kinematics(ARM, Q))
+    (begin, end), radius = placed.ends[3], placed.radii[3]
+    across = np.cross(end - begin, CAMERAS[0].T_base_cam[:3, 3] - begin)
+    across /= np.linalg.norm(across)
+    means = (begin + end) / 2 + np.outer(radius + np.array([0.02, 0.045, 0.07]), across)
+    everywhere = np.ones((CAMERAS[0].height, CAMERAS[0].width), bool)
+    for masks, expected in (([everywhere, everywhere], [1, 1, 0]), ([everywhere, ~everywhere], [1, 0, 0])):
+        gaussians, count = Gaussians(8, torch.device("cpu")), len(means)
+        parts = (torch.from_numpy(means).float(), torch.eye(4)[[0] * count], torch.full((count, 3), 0.01))
+        shown = (torch.full((count,), 0.9), torch.rand(count, 3), Tier.STATIC, torch.full((count,), -1))
+        gaussians.spawn(Newborns(*parts, *shown), 0)
+        links.bind(gaussians, sample, masks, CAMERAS)
+        assert (gaussians.tiers[:count] == Tier.ROBOT).int().tolist() == expected
 
 
 def test_what_lies_too_near_the_surface_of_a_link_sinks_into_it() -> None:

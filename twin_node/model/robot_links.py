@@ -17,6 +17,9 @@ from twin_node.scene import Bool, Camera, Float32, Float64, JointSample, Tier
 
 SKIN_M = 0.03
 """Distance from the arm's capsules at which a Gaussian still belongs to it: the margin of the robot mask."""
+ASTRAY_M = 0.06
+"""The same where no camera sees past the arm there: hand-eye poses are off by a centimetre or two, and one Gaussian of
+the arm's rim that was taken for furniture would hold the arm for good."""
 CLOSE_M = 0.015
 """Distance from them at which a measured point does: errors of depth cameras. Capsules enclose links, so any inside."""
 
@@ -83,16 +86,21 @@ class RobotLinks:
         return place_capsules(self._arm, forward_kinematics(self._arm, self.angles(joints)))
 
     def bind(self, gaussians: Gaussians, joints: JointSample, masks: Sequence[Bool], cameras: Sequence[Camera]) -> None:
-        """Makes STATIC Gaussians ROBOT that lie on the arm: within `SKIN_M` of a capsule and on a robot mask [H, W]."""
+        """Makes STATIC Gaussians ROBOT that lie on the arm, and on a robot mask [H, W].
+
+        Within `SKIN_M` of a capsule, or within `ASTRAY_M` where no camera sees them beside the arm.
+        """
         rows = gaussians.static_rows
         points = gaussians.means[rows].cpu().double().numpy()
         placed = self._placed(joints)
         distance = _distances(placed, points)
-        shown = np.zeros(len(points), bool)
+        on_arm, beside = np.zeros(len(points), bool), np.zeros(len(points), bool)
         for mask, camera in zip(masks, cameras, strict=True):
             seen = look(camera, points)
-            shown |= seen.inside & mask[seen.rows, seen.columns]
-        own = shown & (distance.min(1) < SKIN_M)
+            covered = mask[seen.rows, seen.columns]
+            on_arm |= seen.inside & covered
+            beside |= seen.inside & ~covered
+        own = on_arm & (distance.min(1) < np.where(beside, SKIN_M, ASTRAY_M))
         link = placed.links[distance.argmin(1)]
         carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
         gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes)
