@@ -21,7 +21,6 @@ from twin_node.arm import (
     extrapolate,
     stopping_table,
 )
-from twin_node.arm.separation import ArmMotion
 from twin_node.arm.ur import servo_stopping
 from twin_node.robot import RobotError, forward_kinematics, ur_model
 from twin_node.robot.mjcf import write_mjcf
@@ -345,19 +344,3 @@ def test_an_arm_that_still_brakes_is_faster_than_it_is_told(ur5e_checker: ArmCol
     assert shares[4] == 0.0
     with pytest.raises(RobotError, match="shoulder_pan_joint"):
         decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, joints=JointSample(NOW, ("a",), np.zeros(1), np.zeros(1)))
-
-
-@given(going=st.floats(0.0, 1.5), share=st.floats(0.0, 1.0), reaction_s=st.floats(0.0, 0.5))
-@settings(max_examples=50, deadline=None)
-def test_the_course_of_an_arm_that_brakes_is_that_of_its_steps(going: float, share: float, reaction_s: float) -> None:
-    """Against an arm that slows by 4 rad/s^2, step by step."""
-    speeds = np.array([0.01, 3.0])
-    steady = StoppingTable(speeds, np.tile(speeds[:, None] / 4, 6), np.tile(speeds[:, None] ** 2 / 8, 6))
-    course = ArmMotion(NOW, reaction_s, TURNING, steady, going).course(share)
-    now, way, passed_s, step_s = max(going, share), 0.0, 0.0, 1e-3
-    while now > 0 or passed_s < reaction_s:
-        before, target = now, share if passed_s < reaction_s else 0.0
-        now = max(now - 4 * step_s, target)
-        way, passed_s = way + (before + now) / 2 * step_s, passed_s + step_s
-    assert course.steady_s + course.braking_s == pytest.approx(way, abs=3e-3)
-    assert course.duration_s == pytest.approx(passed_s, abs=5e-3)

@@ -48,7 +48,7 @@ class Timers:
 
 
 class Cell:
-    """An arm's node, its clock, and somebody 28 cm to the left of the tool: an arm that turns there slows."""
+    """An arm's node, its clock, and somebody 36 cm to the left of the tool: an arm that turns there slows."""
 
     def __init__(self, timers: Timers | None = None, **given: object) -> None:
         """`given`: parameters of the arm as they stand in a file."""
@@ -73,10 +73,17 @@ class Cell:
         sample = JointSample(self.clock.now(), ("finger_joint",), np.zeros(1), np.zeros(1))
         self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(sample))
 
-    def path(self, begins_ms: int, lasts_ms: int, velocity: Float64 = TURNING, is_stamped: bool = True) -> None:
+    def path(
+        self,
+        begins_ms: int,
+        lasts_ms: int,
+        velocity: Float64 = TURNING,
+        is_stamped: bool = True,
+        start: Float64 = READY,
+    ) -> None:
         seconds = np.linspace(0, lasts_ms * 1e-3, 11)
         stamps = self.clock.now() + begins_ms * MS + np.rint(seconds * 1e9).astype(np.int64)
-        path = JointPath(MODEL.joint_names, stamps, READY + seconds[:, None] * velocity)
+        path = JointPath(MODEL.joint_names, stamps, start + seconds[:, None] * velocity)
         message = convert.joint_path_to_message(path)
         if not is_stamped:
             message.header.stamp.sec = message.header.stamp.nanosec = 0
@@ -99,7 +106,7 @@ class Cell:
     ) -> Separation:
         """Obstacles, now (or stamped ahead), foreseen from so much later on; gives back what the arm is told."""
         now = self.clock.now() + ahead_ms * MS
-        beside = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.33, 0.0])
+        beside = forward_kinematics(MODEL, READY)[-1, :3, 3] + np.array([0.0, 0.41, 0.0])
         obstacles = Obstacles(
             stamp=now,
             ids=np.arange(count, dtype=np.uint32),

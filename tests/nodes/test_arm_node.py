@@ -1,4 +1,4 @@
-"""The arm's node: its reaction covers the time until the next decision, and no more than its deadline."""
+"""The arm's node: its reaction covers the time until the next decision, and no more than it goes on without one."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def reactions(gaps_ms: list[int], monkeypatch: pytest.MonkeyPatch) -> list[float
 
 
 def test_the_reaction_lasts_until_the_next_decision_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before gaps are known, the deadline counts: after that the arm slows by itself."""
+    """Before gaps are known, two deadlines count: after that the arm stands by itself."""
     used = reactions([30] * (GAPS_KEPT + 2), monkeypatch)
-    assert used[0] == pytest.approx(PARAMETERS.limiter.deadline_s + COMMAND_S)
+    assert used[0] == pytest.approx(2 * PARAMETERS.limiter.deadline_s + COMMAND_S)
     assert used[-1] == pytest.approx(0.03 + COMMAND_S)
 
 
@@ -62,6 +62,12 @@ def test_a_long_gap_is_remembered_for_a_while(monkeypatch: pytest.MonkeyPatch) -
     assert used[11] == pytest.approx(0.03 + COMMAND_S)
     assert used[12 : 12 + GAPS_KEPT] == pytest.approx([0.08 + COMMAND_S] * GAPS_KEPT)
     assert used[12 + GAPS_KEPT] == pytest.approx(0.03 + COMMAND_S)
+
+
+def test_a_slow_arm_that_goes_on_between_two_slow_forecasts_reacts_as_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 7 Hz it went on at a fifth of its speed after the one deadline that counted, and met who came meanwhile."""
+    assert reactions([140] * 3 + [900], monkeypatch)[-2:] == pytest.approx([0.2 + COMMAND_S] * 2)
+    assert reactions([140] * 11, monkeypatch)[-1] == pytest.approx(0.14 + COMMAND_S)
 
 
 def test_silence_is_answered_at_its_deadlines_and_said_again_and_again() -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from arm_cell import MODEL, READY, TURNING, Cell, Timers
 
-from twin_node.robot import forward_kinematics
-from twin_node.scene import Float64
+from twin_node.arm import stopping_table
+from twin_node.arm.narrow import sphere_distances
+from twin_node.robot import forward_kinematics, place_capsules
+from twin_node.scene import Float64, ObstacleKind
 
 
 def obeying(cell: Cell, q: Float64, periods: int) -> Float64:
@@ -51,7 +54,7 @@ def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> N
     for _ in range(30):
         cell.wait(8)
         cell.joints(stopped, -0.3 * TURNING)
-    assert cell.somebody(at=at).reason in ("clear", "not closing in")
+    assert cell.somebody(at=at).reason in ("clear", "clear of MOVING", "not closing in")
 
 
 def test_an_arm_that_is_held_back_is_judged_where_it_is_and_not_where_it_would_be_when_a_forecast_begins() -> None:
@@ -74,3 +77,33 @@ def test_nor_where_old_joints_would_have_gone_by_its_program() -> None:
     cell.somebody(at=at)
     told = cell.somebody(at=at)
     assert (told.reason, told.speed_fraction) == ("stopped for MOVING", 0)
+
+
+@pytest.mark.parametrize("tells_path", [True, False])
+def test_an_arm_that_hears_late_of_its_commands_stops_as_far_from_what_stands(tells_path: bool) -> None:
+    """It was taken to brake at once, and of rising speed to do what it had not heard of yet: it went on into a ball."""
+    cell = Cell(Timers(), command_latency_ms=150)
+    table, fast = stopping_table("ur5e"), 2 * TURNING
+    at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
+    q, share, commands, nearest = READY, 0.0, [0.0] * 18, np.inf
+    for i in range(250):
+        cell.wait(8)
+        if tells_path:
+            cell.path(begins_ms=0, lasts_ms=200, velocity=fast, start=q)
+        cell.joints(q, fast * share)
+        if i % 4 == 0:
+            cell.somebody(at=at, kind=ObstacleKind.STATIC)
+        commands.append(cell.told[-1].speed_fraction)
+        slower = share - 0.008 * share / max(2 * table.stop(share * fast).travel_s, 1e-6)
+        share = max(commands[-19], slower)
+        q = q + fast * share * 0.008
+        if share > 0.01:
+            nearest = min(nearest, clearance(q, at))
+    assert 0.03 < nearest < 0.05
+
+
+def clearance(q: Float64, at: Float64) -> float:
+    """Of the arm from a ball of 10 cm, m."""
+    placed = place_capsules(MODEL, forward_kinematics(MODEL, q))
+    count = len(placed.radii)
+    return float(sphere_distances(placed.ends, placed.radii, np.tile(at, (count, 1)), np.full(count, 0.05)).min())

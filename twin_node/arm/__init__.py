@@ -2,6 +2,7 @@
 
 from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.course import Commands, Underway
 from twin_node.arm.cycle import CycleParameters, CyclicPath, default_path
 from twin_node.arm.decision import decide
 from twin_node.arm.errors import ArmError
@@ -21,6 +22,7 @@ __all__ = [
     "ArmPredictor",
     "Attachment",
     "Clearance",
+    "Commands",
     "CycleParameters",
     "CyclicPath",
     "LimiterParameters",
@@ -28,6 +30,7 @@ __all__ = [
     "SeparationParameters",
     "SpeedLimiter",
     "StoppingTable",
+    "Underway",
     "UnknownPolicy",
     "beyond",
     "decide",

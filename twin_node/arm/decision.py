@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.course import ArmMotion, Underway
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import standing
-from twin_node.arm.separation import ArmMotion, Encounter, Hazards, SeparationParameters, hazards
+from twin_node.arm.separation import Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import forward_kinematics, place_capsules
 from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, JointSample, ObstacleKind, Separation
@@ -32,17 +33,20 @@ def decide(
     parameters: SeparationParameters | None = None,
     table: StoppingTable | None = None,
     joints: JointSample | None = None,
+    underway: Underway | None = None,
 ) -> Separation:
     """Speed that the separation law leaves an arm now (ns) that means to follow a path ahead, at its full speed.
 
     `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it; one that does not is refused.
     `reaction_s` is the measured time from now until the arm begins to brake. `table` is the arm's stopping data, by
     default those of its name. `joints`, as measured now, tell of an arm that still brakes and is faster than it was
-    told; without them it is taken to be as fast as that. The pair that falls most short at full speed decides and is
-    named: its distance and closing speed are from the arm's present pose to where the obstacles will be. `distance` is
-    the smallest of any pair along the path. An arm whose checker was never given obstacles stands; how old evidence may
-    be (`evidence_stamp`), `SpeedLimiter` and the driver judge. Raises `ArmError` or `RobotError` for a wrong path or
-    time, a time of another clock than the obstacles', and for the table or the joints of another arm.
+    told; without them it is taken to be as fast as that. `underway` says how much of the reaction time a command takes
+    to the arm, and what that does meanwhile; without it the arm is taken to obey at once. The pair that falls most
+    short at full speed decides and is named: its distance and closing speed are from the arm's present pose to where
+    the obstacles will be. `distance` is the smallest of any pair along the path. An arm whose checker was never given
+    obstacles stands; how old evidence may be (`evidence_stamp`), `SpeedLimiter` and the driver judge. Raises `ArmError`
+    or `RobotError` for a wrong path or time, a time of another clock than the obstacles', and for the table or the
+    joints of another arm.
     """
     law = parameters or SeparationParameters()
     _refuse_wrong(path, stamp, reaction_s)
@@ -55,7 +59,7 @@ def decide(
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     fastest = _fastest(positions, seconds)
-    motion = ArmMotion(stamp, reaction_s, fastest, stopping, _going(checker, joints, fastest))
+    motion = ArmMotion(stamp, reaction_s, fastest, stopping, _going(checker, joints, fastest), underway or Underway())
     closest = checker.closest(positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as they are last
     steps = _steps(checker, positions)
     poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)

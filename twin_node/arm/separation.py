@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.checker import Approaches
+from twin_node.arm.course import ArmMotion, Course
 from twin_node.arm.errors import ArmError
 from twin_node.arm.obstacle_set import ObstacleSet
-from twin_node.arm.stopping import Stop, StoppingTable
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.scene import Bool, Float64, ObstacleKind
 
@@ -86,54 +85,6 @@ class Terms:
     def required(self) -> Float64:
         """The sum."""
         return self.human + self.reaction + self.stopping + self.intrusion + self.uncertainty
-
-
-@dataclass(frozen=True)
-class ArmMotion:
-    """What the law needs to know of the arm at its full programmed speed."""
-
-    stamp: int
-    """Now, ns."""
-    reaction_s: float
-    """T_r: from now until the arm begins to brake, s; what happened before now is in the obstacles' stamps."""
-    joint_speeds: Float64
-    """[J] largest over the next 200 ms, rad/s."""
-    table: StoppingTable
-    going: float = 0.0
-    """Share of that speed at which the arm goes now; where it still brakes, more than it is told."""
-
-    @cached_property
-    def _stop_now(self) -> Stop:
-        return self.table.stop(self.going * self.joint_speeds)
-
-    def course(self, share: float) -> Course:
-        """What it does if it is told a share (0 to 1) of the speed now, and nothing when the reaction time is over.
-
-        One that is faster brakes meanwhile. If it gets to its share in time, it goes on at that until it is told.
-        """
-        stop = self.table.stop(share * self.joint_speeds)
-        if share >= self.going:
-            return Course(share * self.reaction_s, share * stop.travel_s, self.reaction_s + stop.duration_s)
-        way_s = self.going * self._stop_now.travel_s
-        braking_s = 2 * (way_s - share * stop.travel_s) / (self.going + share)  # steadily, until it is no faster
-        left_s = max(self.reaction_s - braking_s, 0.0)
-        return Course(share * left_s, way_s, left_s + self._stop_now.duration_s)
-
-    def standstill(self, course: Course) -> int:
-        """When the arm then stands, ns."""
-        return self.stamp + round(course.duration_s * 1e9)
-
-
-@dataclass(frozen=True)
-class Course:
-    """How an arm comes to a standstill; ways are times at its full speed: metres per m/s."""
-
-    steady_s: float
-    """Way until it is told to stop, s."""
-    braking_s: float
-    """Way that it brakes on, s."""
-    duration_s: float
-    """From now until it stands, s."""
 
 
 @dataclass(frozen=True)

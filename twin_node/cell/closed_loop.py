@@ -14,6 +14,7 @@ from twin_node.arm import (
     SeparationParameters,
     SpeedLimiter,
     StoppingTable,
+    Underway,
     decide,
 )
 from twin_node.cell.program import RunningProgram
@@ -37,8 +38,12 @@ class LoopParameters:
     @property
     def reaction_s(self) -> float:
         """T_r of the law: a command holds until the first step by which the next decision's has arrived."""
-        latency_steps = -(-round(self.command_latency_ms * 1e6) // STEP_NS)
-        return (self.decision_steps + latency_steps) * STEP_NS * 1e-9
+        return self.decision_steps * STEP_NS * 1e-9 + self.latency_s
+
+    @property
+    def latency_s(self) -> float:
+        """A command's own way to the arm, s: until the first step by which it has arrived."""
+        return -(-round(self.command_latency_ms * 1e6) // STEP_NS) * STEP_NS * 1e-9
 
 
 class Perception(Protocol):
@@ -110,5 +115,6 @@ def _decide(
     parameters: LoopParameters,
 ) -> Separation:
     ahead, law = program.ahead(), parameters.separation
-    decision = decide(checker, ahead, program.now, parameters.reaction_s, law, table, program.joints)
+    underway = Underway(parameters.latency_s, program.told)
+    decision = decide(checker, ahead, program.now, parameters.reaction_s, law, table, program.joints, underway)
     return limiter.decide(decision, program.now)

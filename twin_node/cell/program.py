@@ -59,6 +59,11 @@ class RunningProgram:
         speeds: Float64 = np.abs(after - before) / (_DIFFERENCE_NS * 1e-9)
         return speeds
 
+    @property
+    def told(self) -> float:
+        """Largest share that it obeys, or will when what it was told takes effect."""
+        return max([self._target, *(share for _, share in self._told)])
+
     def tell(self, share: float) -> None:
         """Takes a speed, to be applied after the command's latency."""
         self._told.append((self.now + self._latency_ns, share))

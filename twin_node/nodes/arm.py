@@ -12,6 +12,7 @@ from twin_node.arm import (
     ArmCollisionChecker,
     ArmError,
     ArmPredictor,
+    Commands,
     CyclicPath,
     SpeedLimiter,
     beyond,
@@ -100,7 +101,7 @@ class ArmNode(Node):
         """When the arm's end was last outside the workspace, ns, and how far, m."""
         self._refused: str | None = None
         self._is_live = timers is not None
-        self._share = 0.0
+        self._commands = Commands(parameters.command_latency_ms * 1e-3)
 
     def on_configure(self) -> None:
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
@@ -165,7 +166,7 @@ class ArmNode(Node):
         self._silence.set(max(left, SHORTEST_WAIT_S))
 
     def _tell(self, separation: Separation) -> None:
-        self._share = separation.speed_fraction
+        self._commands.tell(separation.speed_fraction, self.clock.now())
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
     def _on_trajectory(self, message: Message) -> None:
@@ -183,7 +184,8 @@ class ArmNode(Node):
         try:
             sample = convert.joint_sample_from_message(message)
             tells_velocities = convert.has_velocities(message, self._checker.model.joint_names)
-            self._arm.take_joints(sample, tells_velocities, self._share if self._is_live else 1.0)
+            share = self._commands.least(self.clock.now()) if self._is_live else 1.0
+            self._arm.take_joints(sample, tells_velocities, share)
         except TwinError as error:
             self._arm.refuse(str(error))
             raise
@@ -223,16 +225,20 @@ class ArmNode(Node):
                 self._outside = now, out_m
         is_servoed = self._parameters.servoed or driving is Driving.SERVOED
         table = self._servo_stop if is_servoed else self._own_stop
-        measured = self._arm.joints(now) if self._is_live else None  # a log's arm brakes for nobody
-        return decide(self._checker, path, stamp, reaction_s, self._parameters.separation, table, measured)
+        law = self._parameters.separation
+        if not self._is_live:  # a log's arm brakes for nobody
+            return decide(self._checker, path, stamp, reaction_s, law, table)
+        measured, underway = self._arm.joints(now), self._commands.underway(now)
+        return decide(self._checker, path, stamp, reaction_s, law, table, measured, underway)
 
     def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.
 
-        No gap counts longer than the deadline, after which the arm is slow without a decision.
+        No gap counts longer than two deadlines, after which the arm stands without a decision: a slow one goes on
+        until then.
         """
-        deadline_ns = self._parameters.limiter.deadline_s * 1e9
-        self._gaps.append(min(max(now - self._arrived, 0), deadline_ns))
+        stands_ns = 2 * self._parameters.limiter.deadline_s * 1e9
+        self._gaps.append(min(max(now - self._arrived, 0), stands_ns))
         self._arrived = now
         return max(self._gaps) * 1e-9 + self._parameters.command_latency_ms * 1e-3
 
