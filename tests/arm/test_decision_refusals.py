@@ -17,7 +17,8 @@ from twin_node.arm import (
     decide,
     stopping_table,
 )
-from twin_node.arm.separation import ArmMotion, Encounter, hazards
+from twin_node.arm.course import ArmMotion
+from twin_node.arm.separation import Encounter, hazards
 from twin_node.scene import NO_EVIDENCE, JointPath
 
 GOOD = ahead(TURNING)

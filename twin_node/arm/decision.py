@@ -10,17 +10,20 @@ from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.course import ArmMotion, Underway
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import standing
+from twin_node.arm.path import STEP_NS, go_on
 from twin_node.arm.separation import Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
-from twin_node.robot import forward_kinematics, place_capsules
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, JointSample, ObstacleKind, Separation
 
 _POSES = 5
-"""Poses along the next 200 ms from which closing speeds are taken, at least: the forecast's own horizons."""
+"""Poses along the path from which closing speeds are taken, at least: the forecast's own horizons."""
 _STRIDE_M = 0.05
 """No point of the arm goes farther from one of these poses to the next, m, where the path is told so finely: what it
 passes between them is nearer than at both by some 7 mm at most, as deep as an arc of a wrist's radius bends so far."""
 
+_LONGEST_UNSEEN_NS = 1_000_000_000
+"""No way of an arm goes on for so long beyond the end of its path, ns: it turns meanwhile, or it has no brakes."""
 _SLIGHT = 0.2
 """What is slower than this share of the fastest joint tells by its noise nothing of the arm's speed."""
 
@@ -54,13 +57,14 @@ def decide(
     if len(checker.obstacles) == 0 and evidence == NO_EVIDENCE:
         return standing(stamp, NO_EVIDENCE, "stopped: no forecast yet")
     _refuse_future(evidence, stamp)
-    positions = checker.model.order(path.names, path.positions)
-    seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
+    path = replace(path, names=checker.model.joint_names, positions=checker.model.order(path.names, path.positions))
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
-    fastest = _fastest(positions, seconds)
+    fastest = _fastest(path.positions, _seconds(path))
     motion = ArmMotion(stamp, reaction_s, fastest, stopping, _going(checker, joints, fastest), underway or Underway())
-    closest = checker.closest(positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as they are last
+    closest = checker.closest(path.positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as last
+    way = _until_standstill(checker.model, path, motion)
+    seconds, positions = _seconds(way), way.positions
     steps = _steps(checker, positions)
     poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
     picked = np.unique(np.linspace(0, len(seconds) - 1, poses).round().astype(np.int64))
@@ -132,6 +136,20 @@ def _settle(checker: ArmCollisionChecker, closest: Clearance, encounter: Encount
         speed_fraction=share,
         reason=f"{state} {kind}",
     )
+
+
+def _seconds(path: JointPath) -> Float64:
+    """Times [T] of a path after its first, s."""
+    seconds: Float64 = (path.stamps - path.stamps[0]) * np.float64(1e-9)
+    return seconds
+
+
+def _until_standstill(model: ArmModel, path: JointPath, motion: ArmMotion) -> JointPath:
+    """The path, gone on as far as the arm gets at full speed until it stands, in steps like the path's own."""
+    course, told_ns = motion.course(1.0), int(path.stamps[-1] - path.stamps[0])
+    unseen_ns = round((course.steady_s + course.braking_s) * 1e9) - told_ns
+    step_ns = max(told_ns // max(len(path.stamps) - 1, 1), STEP_NS)
+    return go_on(model, path, min(max(unseen_ns, 0), _LONGEST_UNSEEN_NS), step_ns)
 
 
 def _fastest(positions: Float64, seconds: Float64) -> Float64:

@@ -99,6 +99,22 @@ def gone_since(model: ArmModel, sample: JointSample, stamp: int) -> Float64:
     return now
 
 
+def go_on(model: ArmModel, path: JointPath, lasting_ns: int, step_ns: int = STEP_NS) -> JointPath:
+    """A path in the model's order whose joints keep, for a time (ns), the velocities that they have at its end.
+
+    It is told in steps of `step_ns` at most. Ranges hold as `extrapolate` has them. Of a path of one sample nothing is
+    told: it is given back as it is.
+    """
+    if len(path.stamps) < 2 or lasting_ns == 0:
+        return path
+    *_, before, last = path.positions
+    velocities = (last - before) / (int(path.stamps[-1] - path.stamps[-2]) * 1e-9)
+    offsets = np.linspace(0, lasting_ns, -(-lasting_ns // step_ns) + 1)[1:].round().astype(np.int64)
+    positions = kept_up(model, last, velocities, offsets * np.float64(1e-9))
+    stamps = np.concatenate([path.stamps, path.stamps[-1] + offsets])
+    return JointPath(path.names, stamps, np.concatenate([path.positions, positions]))
+
+
 def kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
     """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's ranges.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
-from twin_node.arm.path import STEP_NS, extrapolate, kept_up, path_ahead, path_from_sample, sample_path
+from twin_node.arm.path import STEP_NS, extrapolate, go_on, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
 from twin_node.robot import ArmModel, RobotError
 from twin_node.scene import Float64, JointPath, JointSample
@@ -130,7 +130,7 @@ class ArmPredictor:
         """
         path, joints = self._path, self._joints
         if path is not None and not self._is_held and path.stamps[0] <= now <= path.stamps[-1]:
-            gone_on = _gone_on(self._model, path)
+            gone_on = go_on(self._model, path, _GONE_ON_NS)
             self._stray_rad = self._stray_rad or self._strays(gone_on, now)
             if self._stray_rad is None:
                 return path_ahead(self._model, gone_on, stamp)
@@ -181,15 +181,3 @@ def _turned(start: Float64, end: Float64) -> Float64:
     turn = end - start
     short: Float64 = turn - 2 * np.pi * np.round(turn / (2 * np.pi))
     return short
-
-
-def _gone_on(model: ArmModel, path: JointPath) -> JointPath:
-    """A path whose joints keep the velocities that they have at its end, within the arm's ranges."""
-    if len(path.stamps) < 2:
-        return path
-    *_, before, last = path.positions
-    velocities = (last - before) / (int(path.stamps[-1] - path.stamps[-2]) * 1e-9)
-    offsets = np.arange(STEP_NS, _GONE_ON_NS + 1, STEP_NS)
-    positions = kept_up(model, last, velocities, offsets * np.float64(1e-9))
-    stamps = np.concatenate([path.stamps, path.stamps[-1] + offsets])
-    return JointPath(path.names, stamps, np.concatenate([path.positions, positions]))
