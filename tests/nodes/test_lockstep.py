@@ -27,7 +27,7 @@ def test_the_log_is_never_its_own_output(cell_log: Callable[..., Path], tmp_path
     before = log.read_bytes()
     sections = {**SMALL, "player": {"log": str(log)}, "recorder": {"output": str(log)}}
     with pytest.raises(GraphError, match="expected another file than the log that is played"):
-        run_in_lockstep(sections, "test", threading.Event())
+        run_in_lockstep(sections, "test", threading.Event(), print)
     assert log.read_bytes() == before
 
 
@@ -37,21 +37,21 @@ def test_a_rig_that_is_not_tied_to_the_robot_is_refused(tmp_path: Path) -> None:
     save_rig(RigFile(Rig((camera,)), frame="left_optical_frame"), tmp_path / "rig.yaml")
     sections = {"/**": {"rig": {"file": str(tmp_path / "rig.yaml")}}, "player": {"log": str(tmp_path / "run.mcap")}}
     with pytest.raises(GraphError, match="found them in 'left_optical_frame'"):
-        run_in_lockstep({**SMALL, **sections}, "test", threading.Event())
+        run_in_lockstep({**SMALL, **sections}, "test", threading.Event(), print)
 
 
 def test_topics_of_a_foreign_log_are_renamed(cell_log: Callable[..., Path]) -> None:
     """As the error of `--remap` in lockstep says; a topic that is not there tells that the pairs are heeded."""
     player = {"log": str(cell_log(0.4)), "remap": ["/robot/joints:=/joint_states"]}
     with pytest.raises(GraphError, match="has no topic /robot/joints"):
-        run_in_lockstep({**SMALL, "player": player}, "test", threading.Event())
+        run_in_lockstep({**SMALL, "player": player}, "test", threading.Event(), print)
 
 
 def test_the_recorders_topics_are_heeded(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
     recorder = {"output": str(output), "topics": [SEPARATION, JOINT_STATES]}
     sections = {**SMALL, "player": {"log": str(cell_log(0.4)), "playback_duration": 0.15}, "recorder": recorder}
-    run_in_lockstep(sections, "test", threading.Event())
+    run_in_lockstep(sections, "test", threading.Event(), print)
     with open_log(output) as log:
         assert {topic.name for topic in log.topics} == {SEPARATION, JOINT_STATES}
 
@@ -75,4 +75,4 @@ def test_what_cannot_be_heeded_is_refused(
     sections: dict[str, dict[str, object]] = {"player": {"log": str(cell_log(0.4))}, "recorder": {}}
     sections[node] |= values
     with pytest.raises(TwinError, match=re.escape(words)):
-        run_in_lockstep({**SMALL, **sections}, "test", threading.Event())
+        run_in_lockstep({**SMALL, **sections}, "test", threading.Event(), print)

@@ -14,6 +14,7 @@ from twin_node.bag import LogWriter, open_log
 from twin_node.cell.scenario import Fault
 from twin_node.cli import main
 from twin_node.errors import TwinWarning
+from twin_node.geometry import pose
 from twin_node.messages import convert, header_stamp, message_type
 from twin_node.model.sequence import ReadOptions
 from twin_node.nodes.log_check import check_log
@@ -159,8 +160,8 @@ def test_who_makes_something_of_a_part_of_a_log_is_told(
 def test_who_makes_something_of_sets_without_a_camera_is_told_of_it(tmp_path: Path) -> None:
     """train, bake and the benchmarks went on without it, and said nothing."""
     K, log = np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]]), tmp_path / "log.mcap"
-    rig = Rig(tuple(RigCamera(name, 64, 48, K, np.eye(4)) for name in ("left", "right", "gone")))
-    save_rig(RigFile(rig), tmp_path / "rig.yaml")
+    places = {name: pose(np.eye(3), np.array([x, 0.0, 0.0])) for x, name in enumerate(("left", "right", "gone"))}
+    save_rig(RigFile(Rig(tuple(RigCamera(name, 64, 48, K, T) for name, T in places.items()))), tmp_path / "rig.yaml")
     with LogWriter(log) as written:
         for k in range(20):
             stamp = k * 33_000_000 + 5
@@ -272,6 +273,74 @@ def log_with_frames(path: Path, frame: str, transforms: Mapping[str, Sequence[tu
         log.write("/front/camera_info", info, 5)
         log.write("/front/image_raw", convert.raw_image("front", 5, np.zeros((48, 64, 3), np.uint8)), 5)
     return path
+
+
+def with_webcam(log: Path, path: Path, infos: Sequence[RigCamera] = (), moved_by: str | None = None) -> Path:
+    """A log with a camera more, which has no place in /tf_static; `moved_by`: a frame that it hangs on in /tf."""
+    with open_log(log) as read, LogWriter(path) as written:
+        for one in read.messages():
+            written.write_raw(one.topic, one.msgtype, one.data, one.stamp)
+            if one.topic == "/cam_back/image_raw/compressed":
+                for camera in infos:
+                    written.write("/webcam/camera_info", convert.camera_info(camera, one.stamp), one.stamp)
+                if moved_by is not None:
+                    hung = convert.transform_stamped(moved_by, "webcam_optical_frame", np.eye(4), one.stamp)
+                    written.write("/tf", message_type("tf2_msgs/msg/TFMessage")(transforms=[hung]), one.stamp)
+                image = convert.raw_image("webcam", one.stamp, np.zeros((48, 64, 3), np.uint8))
+                written.write("/webcam/image_raw", image, one.stamp)
+    return path
+
+
+WEBCAM = RigCamera("webcam", 64, 48, np.array([[64.0, 0, 31.5], [0, 64, 23.5], [0, 0, 1]]), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("infos", "moved_by", "why"),
+    [
+        ((), None, "expected CameraInfo on /webcam/camera_info"),
+        ((replace(WEBCAM, K=np.zeros((3, 3))),), None, "no transforms join it to base_link"),
+        ((WEBCAM,), None, "no transforms join it to base_link"),
+        ((WEBCAM,), "tool0", "which /tf moves"),
+    ],
+)
+def test_a_camera_that_a_log_does_not_calibrate_is_left_out_and_told(
+    cell_log: Callable[..., Path], tmp_path: Path, infos: Sequence[RigCamera], moved_by: str | None, why: str
+) -> None:
+    """Somebody's webcam in the cell, or one on the arm: the whole log was refused for it."""
+    log = with_webcam(cell_log(0.3), tmp_path / "log.mcap", infos, moved_by)
+    with LogSession(log) as session, pytest.warns(TwinWarning, match=f"'webcam' is left out: .*{why}"):
+        assert not any("webcam" in topic for topic in session.topics)
+        frames = next(iter(LogSource(session, SynchronizerParameters(width=48))))
+    assert [view.camera.name for view in frames.views] == ["cam_back", "cam_front", "cam_left"]
+    with Playback([log]) as playback:
+        assert [camera.name for camera in playback.cameras] == ["cam_back", "cam_front", "cam_left"]
+        assert [line for line in playback.left_out if why in line]
+    with open_log(log) as read:
+        (line,) = check_log(read).faults
+    assert why in line
+
+
+def test_cameras_that_a_rig_file_lacks_are_not_looked_at(cell_log: Callable[..., Path], tmp_path: Path) -> None:
+    """So a camera of a log is left out by choice: its images were read, its depth could be refused, all in silence."""
+    log = cell_log(0.3)
+    with LogSession(log) as whole:
+        chosen = replace(whole.rig, cameras=whole.rig.cameras[1:])
+    with LogSession(log, chosen) as session:
+        assert [camera.name for camera in session.cameras] == ["cam_front", "cam_left"]
+        assert not any("cam_back" in topic for topic in session.topics)
+        assert session.doubts == ("camera 'cam_back' is left out: the rig has cam_front, cam_left alone",)
+
+
+def test_what_of_a_log_is_doubtful_is_told_by_whatever_reads_it(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only `replay` told: bench, train and calibrate took the same for granted. Once, however often it is read."""
+    log = with_webcam(cell_log(0.3), tmp_path / "log.mcap")
+    out = ["-o", str(tmp_path / "model.safetensors"), "--steps", "1", "--width", "48", "--gaussians", "100"]
+    assert main(["train", str(log), *out]) == 0
+    assert capsys.readouterr().err.count("camera 'webcam' is left out") == 1
+    main(["bench", "track", str(log), "--width", "48", "--leave-out", "cam_left", "--duration", "0.2"])
+    assert capsys.readouterr().err.count("camera 'webcam' is left out") == 1
 
 
 def test_a_camera_on_the_arm_is_refused_as_one(tmp_path: Path) -> None:

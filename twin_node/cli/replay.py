@@ -66,8 +66,7 @@ def _replay(options: argparse.Namespace) -> None:
     _check_report(options.report, options.output)
     _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
-    for line in (*(f"not read: {line}" for line in session.log.left_out), *session.doubts):
-        print(f"twin_node: warning: {options.log}: {line}", file=sys.stderr)
+    session.warn()
     if options.budget_ms is not None or options.target is not None:
         parameters = _sized(session, parameters, options)
     _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from twin_node.bag import LogReader
 from twin_node.bag.latched import is_of_several
-from twin_node.bag.rig import read_rig_record
+from twin_node.bag.rig import RigRecord, read_rig_record
 from twin_node.messages import MessageError
 from twin_node.messages.convert import TransformTree, of_pair, rig_camera
 from twin_node.nodes.contents import content_of
@@ -37,19 +37,45 @@ ANOTHER_PLACE_M = 0.005
 """So far apart are no two frames of one lens, m; lenses of one device are 15 mm and more."""
 
 
+class _NotCalibratedError(GraphError):
+    """What of a camera's calibration a log does not hold."""
+
+
+@dataclass(frozen=True)
+class LogRig:
+    """The cameras of a log that are looked through, and why the others are not."""
+
+    rig: Rig
+    left_out: tuple[str, ...]
+    """A line for each camera that the log has images of, and that is not in the rig."""
+
+    def has(self, camera: str) -> bool:
+        """Whether a camera is in the rig, by its name."""
+        return any(one.name == camera for one in self.rig.cameras)
+
+
 def rig_for(
     log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None, tf_static: str = TF_STATIC
-) -> Rig:
+) -> LogRig:
     """The rig of the cameras that the log has images of: the one given (or its file), else the log's own calibration.
 
+    A camera that the rig given does not have is left out, and one whose own calibration the log does not hold where it
+    does hold others': somebody's webcam, or one on the arm, is no reason to do without the twin.
     `cameras`, `tf_static`: topics as the log calls them; the latter holds the cameras' poses. Raises `GraphError`
-    naming the camera that lacks images or calibration.
+    naming the camera that lacks images, or a first one of which none is calibrated.
     """
     if rig_file is None:
-        return _with_depth_lenses(_rig_of_log(log, cameras, tf_static), log, cameras)
+        found = _rig_of_log(log, cameras, tf_static)
+        return replace(found, rig=_with_depth_lenses(found.rig, log, cameras))
     given, name = (rig_file, "the rig") if isinstance(rig_file, Rig) else (load_rig(rig_file).rig, str(rig_file))
     matched = without_other_clocks(_matched(given, cameras, name, log.path), since_1970=log.start_ns >= SINCE_1970_NS)
-    return _with_depth_lenses(matched, log, cameras)
+    has = [camera.name for camera in given.cameras]
+    left_out = (
+        f"camera '{camera.name}' is left out: {name} has {', '.join(has)} alone"
+        for camera in cameras
+        if camera.name not in has
+    )
+    return LogRig(_with_depth_lenses(matched, log, cameras), tuple(left_out))
 
 
 @contextlib.contextmanager
@@ -198,30 +224,50 @@ def _pinhole(info: Any, of_rectified: bool) -> Float64:
     return np.array([K[0, 0] / width, K[1, 1] / height, K[0, 2] / width, K[1, 2] / height])
 
 
-def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str) -> Rig:
+def _rig_of_log(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str) -> LogRig:
     infos, tree = _calibration_messages(log, cameras, tf_static)
     record = read_rig_record(log)
-    calibrated = []
+    found: dict[CameraTopics, RigCamera] = {}
+    lacking: dict[str, str] = {}
     for camera in cameras:
-        info = infos.get(camera.info)
-        if info is None:
-            raise GraphError(
-                f"{log.path}: camera '{camera.name}' has images on {camera.image} but no CameraInfo on {camera.info}; "
-                "record it, or give --rig RIG.yaml"
-            )
-        T_base_cam = of_pair(info, infos.values(), _pose(log, camera, info, tree, tf_static))
-        sigma_m = record.sigmas_m.get(camera.name, 0.0)
-        found = rig_camera(info, camera.name, T_base_cam, sigma_m, camera.is_rectified)
-        if clock := record.clocks.get(camera.name):
-            found = replace(
-                found,
-                time_offset_ns=clock.offset_ns,
-                time_rate_ppm=clock.rate_ppm,
-                time_reference_ns=clock.reference_ns,
-            )
-        calibrated.append(found)
-    _refuse_one_frame_of_two(log, cameras, calibrated, [infos[camera.info].header.frame_id for camera in cameras])
-    return Rig(tuple(calibrated), record.workspace)
+        try:
+            found[camera] = _camera_of_log(log, camera, infos, tree, record, tf_static)
+        except (_NotCalibratedError, MessageError) as error:
+            lacking[camera.name] = str(error).removeprefix(f"camera {camera.name}: ")
+    if not found:
+        name, why = next(iter(lacking.items()))
+        raise GraphError(f"{log.path}: camera '{name}': {why}")
+    _refuse_one_frame_of_two(log, tuple(found), tuple(found.values()), [infos[c.info].header.frame_id for c in found])
+    left_out = (f"camera '{name}' is left out: {why}" for name, why in lacking.items())
+    return LogRig(Rig(tuple(found.values()), record.workspace), tuple(left_out))
+
+
+def _camera_of_log(
+    log: LogReader,
+    camera: CameraTopics,
+    infos: Mapping[str | None, Any],
+    tree: TransformTree,
+    record: RigRecord,
+    tf_static: str,
+) -> RigCamera:
+    """As the log's CameraInfo, transforms and rig record have it."""
+    info = infos.get(camera.info)
+    if info is None:
+        raise _NotCalibratedError(
+            f"expected CameraInfo on {camera.info} beside its images on {camera.image}, found none; record it, or give "
+            "--rig RIG.yaml"
+        )
+    T_base_cam = of_pair(info, infos.values(), _pose(log, camera, info, tree, tf_static))
+    sigma_m = record.sigmas_m.get(camera.name, 0.0)
+    found = rig_camera(info, camera.name, T_base_cam, sigma_m, camera.is_rectified)
+    if clock := record.clocks.get(camera.name):
+        found = replace(
+            found,
+            time_offset_ns=clock.offset_ns,
+            time_rate_ppm=clock.rate_ppm,
+            time_reference_ns=clock.reference_ns,
+        )
+    return found
 
 
 def _refuse_one_frame_of_two(
@@ -265,14 +311,14 @@ def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, 
     except MessageError as error:
         root = tree.root(frame)
         if _is_moved(log, root):
-            raise GraphError(
-                f"{log.path}: camera '{camera.name}': expected a camera that stands, found its frame {frame} fixed to "
+            raise _NotCalibratedError(
+                f"expected a camera that stands, found its frame {frame} fixed to "
                 f"{root}, which {TF} moves; give --rig RIG.yaml with the cameras that stand, or let {TF_STATIC} place "
                 f"{root} if this one does"
             ) from None
         others = [topic.name for topic in log.topics if topic.name != tf_static and is_of_several(topic.name)]
         hint = f"; there are some on {', '.join(others)}: --remap {others[0]}:={TF_STATIC}" if others else ""
-        raise GraphError(f"{log.path}: camera '{camera.name}': {error}{hint}") from None
+        raise _NotCalibratedError(f"{error}{hint}") from None
     if "optical" not in frame and T_base_cam[2, 2] > UPWARD and abs(T_base_cam[2, 1]) < LEVEL:
         raise GraphError(
             f"{log.path}: camera '{camera.name}': expected an optical frame (z forward, x right, y down), found "
@@ -290,19 +336,13 @@ def _is_moved(log: LogReader, frame: str) -> bool:
 
 def _calibration_messages(
     log: LogReader, cameras: Sequence[CameraTopics], tf_static: str
-) -> tuple[dict[str, Any], TransformTree]:
-    """First CameraInfo of every camera by topic, and the static transforms up to where the last of them was found."""
-    wanted = {camera.info for camera in cameras}
-    infos: dict[str, Any] = {}
+) -> tuple[dict[str | None, Any], TransformTree]:
+    """First CameraInfo of every camera by topic, and the static transforms up to where the last of them is placed."""
+    infos = _first_messages(log, {camera.info for camera in cameras} & log.spoken.keys())
     tree = TransformTree()
-    for message in log.messages([*wanted, tf_static]):
-        if message.topic == tf_static:
-            tree.add(content_of(message, log))
-        elif message.topic not in infos:
-            infos[message.topic] = content_of(message, log)
-        else:
-            continue
-        if len(infos) == len(wanted) and all(_is_placed(tree, info) for info in infos.values()):
+    for message in log.messages([tf_static]):
+        tree.add(content_of(message, log))
+        if all(_is_placed(tree, info) for info in infos.values()):
             break
     return infos, tree
 

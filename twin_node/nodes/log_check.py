@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bag import LogMessage, LogReader
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, TwinWarning
 from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
@@ -207,10 +208,11 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
     else:
         faults = [*in_log.unused, *joint_doubts(names)]
     try:
-        rig = rig_for(log, cameras, None, names.original(TF_STATIC))
+        found = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:
         return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
-    known = {camera.name: camera for camera in rig.cameras}
+    known = {camera.name: camera for camera in found.rig.cameras}
+    cameras = [camera for camera in cameras if camera.name in known]
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
     faults = [
         *_image_faults(cameras, seen, known),
@@ -218,13 +220,15 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         *_depth_skews(cameras, seen),
         *faults,
     ]
-    return [*rig_doubts(cameras, rig), *base_doubts(log, names), *(faults or _first_set_faults(log))]
+    doubts = (*found.left_out, *rig_doubts(cameras, found.rig), *base_doubts(log, names))
+    return [*doubts, *(faults or _first_set_faults(log))]
 
 
 def _first_set_faults(log: LogReader) -> list[str]:
     """What keeps a twin from beginning where cameras, images and calibration are sound, each by itself."""
     try:
-        with LogSession(log.path) as session:
+        with warnings.catch_warnings(), LogSession(log.path) as session:
+            warnings.simplefilter("ignore", TwinWarning)  # what the check tells by itself
             source = LogSource(session, SynchronizerParameters())
             workspace_for(session.rig, source.cameras)
             first = next(iter(source), None)

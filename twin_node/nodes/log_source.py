@@ -44,16 +44,21 @@ class LogSession:
             names = renamed(self.log, remaps)
             with damage_first(self.log):
                 cameras = cameras_of(self.log, names)
-                self.cameras: tuple[CameraTopics, ...] = cameras.found
-                in_log = tuple(names.original_camera(camera) for camera in self.cameras)
-                self.rig: Rig = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
-                check_depth(self.log, in_log, names.original(TF_STATIC))
+                in_log = [names.original_camera(camera) for camera in cameras.found]
+                found = rig_for(self.log, in_log, rig_file, names.original(TF_STATIC))
+                looked_through = [camera for camera in in_log if found.has(camera.name)]
+                check_depth(self.log, looked_through, names.original(TF_STATIC))
+            self.rig: Rig = found.rig
+            self.cameras: tuple[CameraTopics, ...] = tuple(c for c in cameras.found if found.has(c.name))
+            """Those of the rig."""
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-            of_clock = clock_doubts(self.log, in_log[0], self.rig)
+            of_clock = clock_doubts(self.log, looked_through[0], self.rig)
             of_base = base_doubts(self.log, names) if rig_file is None else ()
-            doubts = (*cameras.unused, *joint_doubts(names), *rig_doubts(in_log, self.rig), *of_base, *of_clock)
-            self.doubts: tuple[str, ...] = doubts
-            """What may not be meant as it is taken, a line each."""
+            self.camera_doubts = (*cameras.unused, *found.left_out, *rig_doubts(looked_through, self.rig))
+            """What of the cameras may not be meant as it is taken, a line each."""
+            unread = (f"not read: {line}" for line in self.log.left_out)
+            self.doubts: tuple[str, ...] = (*unread, *self.camera_doubts, *joint_doubts(names), *of_base, *of_clock)
+            """The same of all that is looked at."""
         except BaseException:
             self.log.close()
             raise
@@ -66,6 +71,11 @@ class LogSession:
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: opened there."""
         return LogSession, self._opened
+
+    def warn(self) -> None:
+        """Warns, with a `TwinWarning` each, of what may not be meant as it is taken; of each once in a command."""
+        for line in self.doubts:
+            warnings.warn(f"{self.log.path}: {line}", TwinWarning, stacklevel=1)
 
     def expected_hz(self, most_hz: float | None) -> float:
         """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
@@ -107,9 +117,10 @@ class LogSource:
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, from the beginning of the session's span.
 
-        Warns, with a `TwinWarning`, where damage has ended them, and of a camera that most of them lack, or its depth:
-        what is made of them is made of a part.
+        Warns, with a `TwinWarning`, of what the session doubts, where damage has ended them, and of a camera that most
+        of them lack, or its depth: what is made of them is made of a part.
         """
+        self._session.warn()
         held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
         self._synchronizer(bus, clock).configure()

@@ -53,6 +53,8 @@ class Playback:
         `RigError` or `GraphError` for what is wrong with a log or a new name.
         """
         self._logs: list[LogReader] = []
+        self._unseen: tuple[str, ...] = ()
+        """Cameras that are not shown, and why, a line each."""
         try:
             for path in paths:
                 self._logs.append(open_log(path))
@@ -79,12 +81,15 @@ class Playback:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What of the logs is not read, a line each; see `LogReader.left_out`. Depth alone shows no camera."""
+        """What of the logs is not read, a line each; see `LogReader.left_out`, and which cameras are not shown.
+
+        Depth alone shows none.
+        """
         lines = [f"{log.path}: not read: {line}" for log in self._logs for line in log.left_out]
         for log, names in zip(self._logs, self._names, strict=True):
             if has_images(names.spoken) and not has_colour(names.spoken):
                 lines.append(f"{log.path}: depth without colour images: no camera is shown; {DEPTH_BY_NAME}")
-        return tuple(lines)
+        return (*lines, *self._unseen)
 
     @property
     def apart(self) -> tuple[str, ...]:
@@ -192,12 +197,12 @@ class Playback:
         for log, names in zip(self._logs, self._names, strict=True):
             if has_colour(names.spoken):
                 with damage_first(log):
-                    cameras = cameras_of(log, names).found
-                    in_log = tuple(names.original_camera(camera) for camera in cameras)
-                    rig = rig_for(log, in_log, rig_file, names.original(TF_STATIC))
-                calibrated = {camera.name for camera in rig.cameras}
-                known = {camera.name: camera for camera in cameras if camera.name in calibrated}
-                return known, FrameAssembler(rig.cameras, width)
+                    cameras = cameras_of(log, names)
+                    in_log = tuple(names.original_camera(camera) for camera in cameras.found)
+                    found = rig_for(log, in_log, rig_file, names.original(TF_STATIC))
+                self._unseen = tuple(f"{log.path}: {line}" for line in (*cameras.unused, *found.left_out))
+                known = {camera.name: camera for camera in cameras.found if found.has(camera.name)}
+                return known, FrameAssembler(found.rig.cameras, width)
         if rig_file is not None:
             raise GraphError(
                 f"{rig_file}: expected images to calibrate, found none in {self.name}; give the log that the twin's "

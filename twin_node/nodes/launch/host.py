@@ -39,7 +39,8 @@ def main() -> int:
         if order.is_lockstep:
             from twin_node.nodes.launch.lockstep import run_in_lockstep
 
-            run_in_lockstep(order.sections, order.where, _is_told_to_stop(events))
+            told = _is_told_to_stop(events)
+            run_in_lockstep(order.sections, order.where, told, lambda line: _say(events, event="said", text=line))
         else:
             _run_live(order, events)
     except TwinError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,12 @@ from twin_node.nodes.topics import RECORDED, GraphError, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, fill
 
 
-def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop: threading.Event) -> None:
+def run_in_lockstep(
+    sections: Mapping[str, Mapping[str, Any]], where: str, stop: threading.Event, say: Callable[[str], None]
+) -> None:
     """Replays the player's log through the chain into the recorder's output; `stop` ends it with nothing written.
+
+    `say(line)` tells the user what of the log is doubtful, or was not to be had.
 
     Raises `GraphError` for what the player and the recorder are asked for and cannot do in lockstep.
     """
@@ -46,10 +50,14 @@ def run_in_lockstep(sections: Mapping[str, Mapping[str, Any]], where: str, stop:
             raise GraphError(f"{where}: stopped before the log's end; nothing was written")
 
     with session:
+        for line in session.doubts:
+            say(line)
         _check_recorded(recorder.topics, {*RECORDED, *session.topics.values()}, where)
         parameters = chain_parameters(sections, where)
         to, topics = Path(output) if output else None, recorder.topics
         with replay(session, parameters, rate=None, output=to, progress=check, recorded=topics) as run:
+            for line in (*([run.damage] if run.damage else []), *run.missed(session)):
+                say(line)
             print(f"{player.log}: {run.sets} sets in lockstep, in {run.seconds:.1f} s", flush=True)
 
 

@@ -42,6 +42,8 @@ class RigSource:
 
     rig: Rig
     cameras: tuple[CameraTopics, ...]
+    doubts: tuple[str, ...] = ()
+    """What of a recording's cameras may not be meant as it is taken, a line each."""
 
 
 def read_rig(parameters: RigParameters) -> RigSource:
@@ -58,7 +60,7 @@ def read_rig(parameters: RigParameters) -> RigSource:
         if parameters.file:
             load_base_rig(Path(parameters.file))
         with LogSession(Path(parameters.log), Path(parameters.file) if parameters.file else None) as session:
-            return RigSource(session.rig, session.cameras)
+            return RigSource(session.rig, session.cameras, session.camera_doubts)
     if bool(parameters.file) == bool(parameters.scenario):
         raise GraphError("rig: expected one of file, log and scenario; say which cameras the twin looks through")
     if parameters.scenario:

@@ -24,6 +24,7 @@ class TwinNode(Node):
 
     def __init__(self, setup: Setup, source: RigSource, parameters: ChainParameters) -> None:
         super().__init__(setup.name, setup.bus, setup.clock)
+        self._say, self._doubts = setup.say, source.doubts
         self._latency = Latency(ASSUMED_LATENCY_NS, is_measured=True)
         self._bus = bus = setup.bus
         workspace = working_volume(source, parameters.synchronizer.width)
@@ -35,6 +36,8 @@ class TwinNode(Node):
         )
 
     def on_configure(self) -> None:
+        for line in self._doubts:
+            self._say(line)
         self._chain.configure()
         self.bus.subscribe(FORECAST, self._on_forecast)
 
