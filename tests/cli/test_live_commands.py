@@ -10,8 +10,11 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +29,7 @@ from twin_node.cli.ur_driver import _News
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.model.ply import StoredGaussians, cloud_from_stored
 from twin_node.nodes.topics import DIAGNOSTICS, GAUSSIANS
+from twin_node.runtime.zenoh_session import ZenohParameters
 
 PATIENCE_S = 60.0
 
@@ -43,6 +47,27 @@ def environment(tmp_path: Path) -> dict[str, str]:
     router.write_text(f"{{mode: 'router', listen: {{endpoints: ['{endpoint}']}}, {common}}}")
     own = {"ZENOH_SESSION_CONFIG_URI": str(session), "ZENOH_ROUTER_CONFIG_URI": str(router), "ROS_DOMAIN_ID": "7"}
     return {**os.environ, **own}
+
+
+@pytest.mark.parametrize("command", [["record", "-o", "run.mcap"], ["play", "LOG"], ["doctor"], ["view", "--live"]])
+def test_a_port_that_another_program_holds_is_told(
+    command: list[str],
+    cell_log: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A recorder recorded nothing, a player played to nobody and ended well, doctor found no graph."""
+    pytest.importorskip("zenoh")
+    monkeypatch.chdir(tmp_path)
+    with HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as taken:
+        threading.Thread(target=taken.serve_forever, daemon=True).start()
+        endpoint = f"tcp/127.0.0.1:{taken.server_port}"
+        monkeypatch.setattr("twin_node.nodes.live.single.ZenohParameters", partial(ZenohParameters, endpoint=endpoint))
+        assert main([str(cell_log(0.3)) if word == "LOG" else word for word in command]) == 2
+        taken.shutdown()
+    assert f"{endpoint}: expected a zenoh router there" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.fixture

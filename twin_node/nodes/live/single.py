@@ -18,7 +18,7 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_session import ZenohParameters, open_client, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 
@@ -39,9 +39,14 @@ class _GraphTime:
 
 @contextlib.contextmanager
 def open_wire(parameters: ZenohParameters | None = None) -> Iterator[ZenohWire]:
-    """This process's end of the network, with a router where there is none yet."""
+    """This process's end of the network, with a router where there is none yet.
+
+    Raises `WireError` where neither one can be started nor one answers: whoever went on would be alone, and not know.
+    """
     parameters = parameters or ZenohParameters()
     router = open_router(parameters)
+    if router is None:
+        open_client(parameters).close()
     try:
         wire = ZenohWire(parameters)
         try:
