@@ -60,12 +60,12 @@ class Graph:
         setup = Setup(**{**vars(self.setup), "say": self.said.append})
         self.node = make_viewer(setup)
         assert isinstance(self.node, ViewerNode)
+        self.node.configure()
         self.page: CellPage = self.node._page
         self.snapshots: list[Snapshot] = []
         self._drawn = threading.Event()
         self._show = self.page.show
         self.page.show = self._watch
-        self.node.configure()
         self.node.activate()
 
     def _watch(self, snapshot: Snapshot) -> None:
@@ -243,8 +243,10 @@ def test_nothing_is_drawn_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_port_in_use_is_an_error(graph: Graph) -> None:
+    """Of the node that is configured: a spare is made beside the one that it stands by for."""
+    make_viewer(graph.setup)
     port = int(graph.page.url.rpartition(":")[2])
-    with pytest.raises(ViewerError, match="give another --port"):
+    with pytest.raises(ViewerError, match=r"give another port or host .*viewer\.port:="):
         Graph({"viewer": {"port": port}})
 
 

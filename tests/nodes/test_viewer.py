@@ -215,4 +215,4 @@ def test_an_address_of_ipv6_is_one(twin_log: Path) -> None:
 def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, capsys: pytest.CaptureFixture[str]) -> None:
     port = page.url.rpartition(":")[2]
     assert main(["view", str(twin_log), "--port", port]) == 2
-    assert "give another --port" in capsys.readouterr().err
+    assert "give another port or host (--port, --host" in capsys.readouterr().err

@@ -14,15 +14,16 @@ from twin_node.runtime.node import Node
 
 
 def make_viewer(setup: Setup) -> Node:
-    """A page of the graph; says where it is. Its cameras are those of the launch file's rig, else what the graph says.
-
-    Raises `ViewerError` where viser is not installed or the port is taken.
-    """
+    """A page of the graph, which says where it is; of the launch file's cameras, else those that the graph tells of."""
     parameters = setup.parameters(ViewerParameters)
-    find = _camera_finder(setup, parameters)
-    page = CellPage(setup.chain_parameters().arm.arm(), (), parameters.host, parameters.port)
-    setup.say(page.url)
-    return ViewerNode(setup.bus, setup.clock, setup.timers, page, find)
+    arm = setup.chain_parameters().arm.arm()
+
+    def open_page() -> CellPage:
+        page = CellPage(arm, (), parameters.host, parameters.port)
+        setup.say(page.url)
+        return page
+
+    return ViewerNode(setup.bus, setup.clock, setup.timers, open_page, _camera_finder(setup, parameters))
 
 
 def _camera_finder(setup: Setup, parameters: ViewerParameters) -> Callable[[], LiveCameras | None]:

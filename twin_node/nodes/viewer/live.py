@@ -84,14 +84,18 @@ class ViewerNode(Node):
         bus: WireBus,
         clock: Clock,
         timers: Timers,
-        page: CellPage,
+        open_page: Callable[[], CellPage],
         find_cameras: Callable[[], LiveCameras | None],
     ) -> None:
-        """`find_cameras()`: the graph's cameras where they are others than when it was last called, else None."""
+        """`open_page()` is called when the node is configured: a port belongs to one process.
+
+        `find_cameras()`: the graph's cameras where they are others than when it was last called, else None.
+        """
         super().__init__("viewer", bus, clock)
         self._wire_bus = bus
         self._timers = timers
-        self._page = page
+        self._open_page = open_page
+        self._page: CellPage
         self._find_cameras = find_cameras
         self._cameras: LiveCameras | None = None
         self._images: set[str] = set()
@@ -103,6 +107,8 @@ class ViewerNode(Node):
         self._thread: threading.Thread | None = None
 
     def on_configure(self) -> None:
+        """Raises `ViewerError` where viser is not installed or the port is taken."""
+        self._page = self._open_page()
         for topic in (*OF_THE_TWIN, SEPARATION, JOINT_STATES, TRAJECTORY):
             self._wire_bus.subscribe_raw(topic, partial(self._keep, topic))
         self._look_for_cameras()

@@ -188,7 +188,10 @@ def check_address(host: str, port: int) -> None:
             pass
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ViewerError(f"{_url(host, port)}: cannot be opened ({reason}); give another --port, or --host") from None
+        raise ViewerError(
+            f"{_url(host, port)}: cannot be opened ({reason}); give another port or host (--port, --host; of a launch "
+            "-p viewer.port:=8081)"
+        ) from None
 
 
 def _open_server(host: str, port: int) -> Any:
