@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from twin_node.bag import LogWriter
+from twin_node.messages import convert
 from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
+from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import GraphError
 from twin_node.rig import RigFile, save_rig
+from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.scene import Rig, RigCamera
 
 CAMERA = RigCamera("left", 64, 48, np.array([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.eye(4))
@@ -39,6 +44,20 @@ def test_topics_of_a_driver_in_a_namespace_are_named_from_the_root() -> None:
     assert (found.image, found.depth) == ("/left/left/color/image_raw", "/left/depth/image_rect")
     with pytest.raises(GraphError, match=r"depth: expected \{camera\} in a topic from the root, found /d/image"):
         RigParameters("rig.yaml", depth="/d/image")
+
+
+def test_a_log_that_is_played_under_other_names_is_looked_at_under_these(tmp_path: Path) -> None:
+    """In lockstep it was; in a launch of processes its cameras were not found by the rig's names, or never heard."""
+    log = str(tmp_path / "log.mcap")
+    with LogWriter(log) as written:
+        written.write("/eye/image_raw", convert.raw_image("eye", 5, np.zeros((48, 64, 3), np.uint8)), 5)
+    save_rig(RigFile(Rig((CAMERA,))), tmp_path / "rig.yaml")
+    player = {"log": log, "remap": ["/eye/image_raw:=/left/image_raw"]}
+    sections = {EVERY_NODE: {"rig": {"log": log, "file": str(tmp_path / "rig.yaml")}}, "player": player}
+    nothing = SimpleNamespace()
+    setup = Setup("twin", nothing, nothing, nothing, sections, "test", lambda: None, lambda: ())
+    assert read_rig(setup.rig()).cameras[0].image == "/left/image_raw"
+    assert not replace(setup, sections={**sections, "player": {**player, "log": "other.mcap"}}).rig().remap
 
 
 @pytest.mark.parametrize(("reference_s", "live"), [(11, False), (1_767_312_000, True)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, is_aligned_depth
+from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, is_aligned_depth, parse_remaps
 from twin_node.scene import Float64, Rig
 
 CAMERA = "{camera}"
@@ -28,6 +28,8 @@ class RigParameters:
     depth: str = ""
     """The same of its depth images, aligned with the colour images (`aligned_depth_to_color/image_raw` of
     realsense2_camera); empty: none."""
+    remap: tuple[str, ...] = ()
+    """`FROM:=TO` pairs, by which the log's topics have other names on the graph: its player's, where none are given."""
 
     def __post_init__(self) -> None:
         """Raises `GraphError` for a topic that would be the same of every camera."""
@@ -59,7 +61,8 @@ def read_rig(parameters: RigParameters) -> RigSource:
 
         if parameters.file:
             load_base_rig(Path(parameters.file))
-        with LogSession(Path(parameters.log), Path(parameters.file) if parameters.file else None) as session:
+        rig_file = Path(parameters.file) if parameters.file else None
+        with LogSession(Path(parameters.log), rig_file, parse_remaps(parameters.remap)) as session:
             return RigSource(session.rig, session.cameras, session.camera_doubts)
     if bool(parameters.file) == bool(parameters.scenario):
         raise GraphError("rig: expected one of file, log and scenario; say which cameras the twin looks through")

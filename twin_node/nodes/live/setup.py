@@ -58,8 +58,15 @@ class Setup:
         return fill(kind, {**shared, **self.sections.get(name, {})}, f"{self.where}: {name}")
 
     def rig(self) -> RigParameters:
-        """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same."""
-        return fill(RigParameters, self.sections.get(EVERY_NODE, {}).get("rig", {}), f"{self.where}: {EVERY_NODE}: rig")
+        """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same.
+
+        The topics of a log that the graph's player plays have the names that it gives them.
+        """
+        told = dict(self.sections.get(EVERY_NODE, {}).get("rig", {}))
+        played = self.sections.get("player", {})
+        if told.get("log") and told["log"] == played.get("log"):
+            told = {"remap": played.get("remap", ()), **told}
+        return fill(RigParameters, told, f"{self.where}: {EVERY_NODE}: rig")
 
     def chain_parameters(self) -> ChainParameters:
         """The parameters of the chain's nodes."""
