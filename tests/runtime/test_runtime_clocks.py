@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from twin_node.runtime import clock as clock_module
-from twin_node.runtime.clock import FollowedClock, PacedClock, SystemClock
+from twin_node.runtime.clock import FollowedClock, PacedClock, SystemClock, ahead_of_monotonic
 
 MS = 1_000_000
 
@@ -153,3 +153,16 @@ def test_a_clock_that_is_put_on_or_slowed_and_a_look_that_is_held_up_are_no_jump
     wall.look = 0
     clock.now()
     assert jumps == []
+
+
+def test_how_far_a_clock_is_ahead_is_told_by_a_look_that_was_not_held_up(steady: Steady) -> None:
+    """Between two looks of a busy machine 50 ms passed: an arm's joints were stamped before those sent earlier."""
+    held_up = [50 * MS, 0, 20 * MS]
+
+    class Wall:
+        def now(self) -> int:
+            now = steady.now + 7 * MS
+            steady.now += held_up.pop(0)
+            return now
+
+    assert ahead_of_monotonic(Wall()) == 7 * MS

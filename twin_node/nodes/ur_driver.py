@@ -10,7 +10,7 @@ from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDr
 from twin_node.messages import Message, convert
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
-from twin_node.runtime.clock import Clock
+from twin_node.runtime.clock import Clock, ahead_of_monotonic
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.scene import NO_EVIDENCE, JointPath, JointSample
 
@@ -40,7 +40,7 @@ class UrDriverNode(Node):
         self._parameters = parameters
         self._joint_names = parameters.arm().joint_names
         self._driver: SupervisedDriver | None = None
-        self._seen = 0
+        self._seen = self._sampled = 0
         self._told: DriverReport | None = None
         self._next = 0
 
@@ -71,7 +71,7 @@ class UrDriverNode(Node):
         now, passed = self.clock.now(), time.monotonic_ns()
         if report.stamp > self._seen:
             self._seen = report.stamp
-            self._publish_arm(report, now - passed)
+            self._publish_arm(report, ahead_of_monotonic(self.clock))
         told = self._told
         is_news = told is None or (told.state, told.refusal) != (report.state, report.refusal)
         if is_news or passed >= self._next:
@@ -81,7 +81,8 @@ class UrDriverNode(Node):
     def _publish_arm(self, report: DriverReport, offset: int) -> None:
         """Joints and their future; `offset` (ns) leads from the driver's clock to the graph's."""
         sample = report.sample
-        if sample is not None and report.sample_stamp:
+        if sample is not None and report.sample_stamp > self._sampled:
+            self._sampled = report.sample_stamp
             joints = JointSample(report.sample_stamp + offset, self._joint_names, sample.q, sample.qd)
             self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(joints))
         if report.future is not None:
@@ -101,7 +102,7 @@ class UrDriverNode(Node):
         if self._driver is None or self.state is not LifecycleState.ACTIVE:
             return
         separation = convert.separation_from_message(message)
-        offset = time.monotonic_ns() - self.clock.now()
+        offset = -ahead_of_monotonic(self.clock)
         evidence = separation.evidence_stamp
         moved = NO_EVIDENCE if evidence == NO_EVIDENCE else evidence + offset
         self._driver.decide(replace(separation, stamp=separation.stamp + offset, evidence_stamp=moved))
