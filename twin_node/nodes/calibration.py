@@ -137,7 +137,7 @@ def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str 
     are_apart = any(colour != depth for colour, depth in frames.values())
     tree = static_transforms(log, tf_static) if are_apart else TransformTree()
     for camera, (of_colour, of_depth) in frames.items():
-        why = _other_pinhole(camera, first.get(camera.info), first.get(camera.depth_info))
+        why = other_pinhole(camera, first.get(camera.info), first.get(camera.depth_info))
         if why is None and of_colour != of_depth and not camera.is_depth_aligned:
             why = _other_place(of_colour, of_depth, tree)
         if why is not None:
@@ -152,11 +152,11 @@ def _with_depth_lenses(rig: Rig, log: LogReader, cameras: Sequence[CameraTopics]
     """The rig with what its cameras' depth was seen by, where the log's CameraInfo say that this is another lens."""
     told = {c.name: c for c in cameras if {c.info, c.depth_info} <= log.spoken.keys()}
     first = _first_messages(log, {topic for c in told.values() for topic in (c.info, c.depth_info) if topic})
-    lenses = {name: _depth_lens(c, first.get(c.info), first.get(c.depth_info)) for name, c in told.items()}
+    lenses = {name: depth_lens_of(c, first.get(c.info), first.get(c.depth_info)) for name, c in told.items()}
     return replace(rig, cameras=tuple(replace(one, depth_lens=lenses.get(one.name)) for one in rig.cameras))
 
 
-def _depth_lens(camera: CameraTopics, info: Any, depth_info: Any) -> RigCamera | None:
+def depth_lens_of(camera: CameraTopics, info: Any, depth_info: Any) -> RigCamera | None:
     """The lens of a camera's depth; None where it is that of its images, or not told."""
     if info is None or depth_info is None:
         return None
@@ -168,7 +168,7 @@ def _depth_lens(camera: CameraTopics, info: Any, depth_info: Any) -> RigCamera |
     return None if _is_one_lens(own, lens) else lens
 
 
-def _other_pinhole(camera: CameraTopics, colour_info: Any, depth_info: Any) -> str | None:
+def other_pinhole(camera: CameraTopics, colour_info: Any, depth_info: Any) -> str | None:
     """What of two CameraInfo says that they are of different lenses."""
     if colour_info is None or depth_info is None:
         return None

@@ -20,7 +20,7 @@ from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock, SteppedClock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
-from twin_node.scene import Camera, Rig, View
+from twin_node.scene import Camera, Rig, RigCamera, View
 
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
@@ -104,6 +104,10 @@ class SynchronizerNode(Node):
     def cameras(self) -> tuple[Camera, ...]:
         """The pinhole cameras of the sets, in the rig's order."""
         return self._assembler.cameras
+
+    def see_depth_by(self, name: str, lens: RigCamera) -> None:
+        """From now on a camera's depth is taken to be what another lens in its place sees."""
+        self._assembler.see_depth_by(name, lens)
 
     def on_configure(self) -> None:
         for name in self._rig_cameras:

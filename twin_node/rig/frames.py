@@ -51,6 +51,10 @@ class FrameAssembler:
         """The pinhole cameras of the views, in the rig's order."""
         return tuple(undistorter.camera for undistorter in self._undistorters.values())
 
+    def see_depth_by(self, name: str, lens: RigCamera) -> None:
+        """From now on a camera's depth is taken to be what another lens in its place sees."""
+        self._undistorters[name].see_depth_by(lens)
+
     def add_joints(self, sample: JointSample) -> None:
         """Takes the arm's joints at one time, in any order of stamps; a clock that was put back is followed."""
         insort(self._joints, sample, key=lambda s: s.stamp)

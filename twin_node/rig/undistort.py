@@ -68,6 +68,11 @@ class Undistorter:
         picked = None if depth is None else self._pick_depth(depth)
         return View(self.camera, stamp, self._colour(rgb), picked, self._valid)
 
+    def see_depth_by(self, lens: RigCamera) -> None:
+        """From now on depth is taken to be what another lens in the camera's place sees, see `RigCamera.depth_lens`."""
+        self._depth_lens = lens
+        self._depth_maps.clear()
+
     def _colour(self, rgb: UInt8) -> UInt8:
         size = (self.camera.width, self.camera.height)
         if self._distorted:

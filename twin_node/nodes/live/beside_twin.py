@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from twin_node.arm.ur import DriverMode, UrParameters
 from twin_node.nodes.arm import Driving, make_arm_node
-from twin_node.nodes.live.rig_source import read_rig, working_volume
+from twin_node.nodes.live.depth_lenses import DepthLenses
+from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.synchronizer import SynchronizerNode
+from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
 from twin_node.robot import UR_NAMES
 from twin_node.robot.arms import AIRO
@@ -26,9 +27,25 @@ def make_synchronizer(setup: Setup) -> Node:
     source = read_rig(setup.rig())
     parameters = setup.chain_parameters()
     names = parameters.arm.arm().joint_names
-    return SynchronizerNode(
-        setup.bus, setup.clock, source.cameras, source.rig, parameters.synchronizer, setup.timers, names
-    )
+    return LiveSynchronizerNode(setup, source, parameters.synchronizer, names)
+
+
+class LiveSynchronizerNode(SynchronizerNode):
+    """Hears what depth was seen by, too, where the rig does not say."""
+
+    def __init__(
+        self, setup: Setup, source: RigSource, parameters: SynchronizerParameters, joint_names: Collection[str]
+    ) -> None:
+        super().__init__(
+            setup.bus, setup.clock, source.cameras, source.rig, parameters, setup.timers, joint_names=joint_names
+        )
+        told = {camera.name for camera in source.rig.cameras if camera.depth_lens is not None}
+        untold = [camera for camera in source.cameras if camera.name not in told]
+        self._lenses = DepthLenses(setup.bus, untold, self.see_depth_by, setup.say)
+
+    def on_configure(self) -> None:
+        super().on_configure()
+        self._lenses.listen()
 
 
 def make_arm(setup: Setup) -> Node:

@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, is_aligned_depth, parse_remaps
+from twin_node.nodes.topics import (
+    COMPRESSED,
+    RAW,
+    CameraTopics,
+    GraphError,
+    info_beside,
+    is_aligned_depth,
+    is_rectified,
+    parse_remaps,
+)
 from twin_node.scene import Float64, Rig
 
 CAMERA = "{camera}"
@@ -80,13 +89,18 @@ def read_rig(parameters: RigParameters) -> RigSource:
 
 
 def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
-    """The topics of a camera that publishes live."""
+    """The topics of a camera that publishes live; CameraInfo is beside its images, and beside its depth if told."""
+    image = _topic(camera, parameters.image)
+    depth = _topic(camera, parameters.depth) if parameters.depth else None
+    info, depth_info = info_beside(image), info_beside(depth or image)
     return CameraTopics(
         name=camera,
-        image=_topic(camera, parameters.image),
+        image=image,
         image_type=COMPRESSED if parameters.image.endswith("/compressed") else RAW,
-        info=f"/{camera}/camera_info",
-        depth=_topic(camera, parameters.depth) if parameters.depth else None,
+        info=info,
+        depth=depth,
+        depth_info=None if depth_info == info else depth_info,
+        is_rectified=is_rectified(image),
         is_depth_aligned=is_aligned_depth(parameters.depth),
         depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
     )
