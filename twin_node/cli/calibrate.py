@@ -19,7 +19,8 @@ from twin_node.cli.calibrate_files import (
     add_rehearse,
     add_report,
 )
-from twin_node.cli.calibrate_motion import add_hand_eye, add_refine, add_time
+from twin_node.cli.calibrate_hand_eye import add_hand_eye
+from twin_node.cli.calibrate_motion import add_refine, add_time
 from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:

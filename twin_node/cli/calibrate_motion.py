@@ -1,4 +1,4 @@
-"""`twin_node calibrate hand-eye | refine | time`: calibration from the robot's and the scene's own motion."""
+"""`twin_node calibrate refine | time`: calibration from an ordinary recording, by what stands in it and what moves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -15,18 +14,16 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import add_source_options, file_to_write, positive
-from twin_node.cli.rig_output import write_rig
+from twin_node.cli.rig_output import today, write_rig
 
 if TYPE_CHECKING:
     from twin_node.nodes.log_source import LogSession
     from twin_node.rig import RigFile
-    from twin_node.rig.calibrate.boards import Board
     from twin_node.rig.calibrate.clocks import CameraClock
-    from twin_node.rig.calibrate.hand_eye import HandEyeResult
     from twin_node.rig.calibrate.refine import PairFigures, RefineResult
     from twin_node.rig.calibrate.stills import Still
     from twin_node.rig.evidence import CameraEvidence
-    from twin_node.scene import Float64, Rig, RigCamera
+    from twin_node.scene import Float64, Rig
 
 STILLS_RATE_HZ = 4.0
 """Image sets per second that what stands still is taken from."""
@@ -34,22 +31,6 @@ TIME_WIDTH = 320
 """Width in pixels of the images whose motion is timed where `--width` says nothing: flow is good to a tenth of one."""
 PLANE_WIDTH = 320
 """Width in pixels at which the common plane is sought: its pattern needs no more."""
-
-
-def add_hand_eye(kinds: Any) -> None:
-    """Adds `calibrate hand-eye`."""
-    parser = kinds.add_parser("hand-eye", help="camera to robot, from pictures of a board at known flange poses")
-    parser.add_argument("views", type=Path, metavar="DIR|VIEWS.yaml", help="list of {image, pose} or {image, joints}")
-    parser.add_argument("--mount", choices=("camera", "target"), default="camera", help="what the flange carries")
-    parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="intrinsics; without it the folder's own")
-    parser.add_argument("--camera", metavar="NAME", help="which camera of the rig file took the pictures")
-    parser.add_argument("--board", metavar="BOARD", help="the target; without it the folder's own")
-    parser.add_argument("--arm", metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file")
-    parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
-    parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
-    parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=_hand_eye)
 
 
 def add_refine(kinds: Any) -> None:
@@ -85,112 +66,6 @@ def _add_clock_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
 
 
-def _hand_eye(options: argparse.Namespace) -> None:
-    from twin_node.rig.calibrate.hand_eye import Mount, solve_hand_eye
-    from twin_node.rig.calibrate.hand_eye_files import detect_target, read_stops
-    from twin_node.rig.calibrate.hand_eye_fit import HandEyeParameters
-    from twin_node.robot import arm_model
-
-    stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
-    board, mount = _board(options), Mount(options.mount)
-    camera = _camera(options, stops[0].image)
-    with tqdm(unit="picture", desc="board", disable=None) as bar:
-        views = detect_target(stops, board, (camera.width, camera.height), bar.update)
-    together = _cameras_beside(options) if mount is Mount.TARGET else None
-    parameters = HandEyeParameters(not (options.fixed_intrinsics or together), not options.fixed_scale)
-    result = solve_hand_eye(camera, board.points, views, mount, parameters, numbered=board.turns == 1)
-    if options.output:
-        _save_hand_eye(result, options.output, together)
-    if options.json:
-        print(json.dumps(_hand_eye_figures(result)))
-        return
-    carrier, other = ("flange", "base") if result.mount is Mount.CAMERA else ("base", "flange")
-    print(f"reprojection: mean {result.mean_px:.3f}, median {result.median_px:.3f}, rms {result.rms_px:.3f} px")
-    print(f"views: {len(views) - len(result.dropped)} used, dropped {', '.join(result.dropped) or 'none'}")
-    if unseen := {stop.image.stem for stop in stops} - {view.name for view in views}:
-        print(f"too little of the target in: {', '.join(sorted(unseen))}")
-    print(f"target: {100 * result.target_scale:.2f} % of the size given")
-    print(f"camera in the {carrier} (+- {1000 * result.sigma_m:.1f} mm):\n{result.T_carrier_camera.round(6)}")
-    print(f"target in the {other}:\n{result.T_carrier_target.round(6)}")
-
-
-def _board(options: argparse.Namespace) -> Board:
-    from twin_node.rig.calibrate.board_files import load_board
-    from twin_node.rig.calibrate.hand_eye_files import read_target
-
-    if options.board:
-        return load_board(options.board)
-    return read_target(_folder(options.views))
-
-
-def _camera(options: argparse.Namespace, image: Path) -> RigCamera:
-    from twin_node.rig import RigError, load_rig
-    from twin_node.rig.calibrate.hand_eye_files import image_size, read_lens
-
-    if options.rig is None:
-        return read_lens(_folder(options.views), image_size(image))
-    cameras = load_rig(options.rig).rig.cameras
-    names = ", ".join(camera.name for camera in cameras)
-    wanted = [camera for camera in cameras if options.camera in (None, camera.name)]
-    if len(wanted) != 1:
-        raise RigError(f"{options.rig}: expected one camera to be chosen, found {names}; give --camera NAME")
-    return wanted[0]
-
-
-def _folder(views: Path) -> Path:
-    return views if views.is_dir() else views.parent
-
-
-def _cameras_beside(options: argparse.Namespace) -> RigFile | None:
-    """The rig file given, where it has cameras that stand fixed beside the one that took the pictures."""
-    from twin_node.rig import load_rig
-
-    rig_file = load_rig(options.rig) if options.rig else None
-    return rig_file if rig_file is not None and len(rig_file.rig.cameras) > 1 else None
-
-
-def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) -> None:
-    """A rig file whose frame is what carries the camera; `together`: the cameras that stand beside it come along."""
-    from twin_node.rig import RigFile
-    from twin_node.rig.calibrate.hand_eye import Mount
-    from twin_node.rig.calibrate.results import in_base
-    from twin_node.scene import Rig
-
-    camera = replace(result.camera, T_base_cam=result.T_carrier_camera, sigma_m=result.sigma_m)
-    notes = (
-        f"Hand-eye calibration: camera's place +- {1000 * result.sigma_m:.1f} mm, mean reprojection "
-        f"{result.mean_px:.3f} px, median {result.median_px:.3f} px, target at {100 * result.target_scale:.2f} % of "
-        f"the size given, views dropped: {', '.join(result.dropped) or 'none'}."
-    )
-    if together is not None:
-        notes = f"Tied to the robot by camera {camera.name}. {notes} {together.notes}".strip()
-        moved = in_base(together, camera.name, result.T_carrier_camera)
-        write_rig(replace(moved, date=_today(), notes=notes), path)
-        return
-    frame = "tool0" if result.mount is Mount.CAMERA else "base_link"
-    write_rig(RigFile(Rig((camera,)), frame=frame, date=_today(), notes=notes), path)
-
-
-def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
-    """What `--json` prints."""
-    return {
-        "median_reprojection_px": result.median_px,
-        "mean_reprojection_px": result.mean_px,
-        "rms_px": result.rms_px,
-        "target_scale": result.target_scale,
-        "dropped": list(result.dropped),
-        "cameras": {
-            result.camera.name: {
-                "T_carrier_camera": result.T_carrier_camera.tolist(),
-                "T_carrier_target": result.T_carrier_target.tolist(),
-                "sigma_m": result.sigma_m,
-                "K": result.camera.K.tolist(),
-                "D": result.camera.D.tolist(),
-            }
-        },
-    }
-
-
 def _refine(options: argparse.Namespace) -> None:
     from twin_node.rig import RigError
     from twin_node.rig.calibrate.refine import measured_by_depth, refine_rig
@@ -205,7 +80,7 @@ def _refine(options: argparse.Namespace) -> None:
         notes = f"Refined from {options.log.name} without a board ({'; '.join(lines)}). {given.notes}".strip()
         clocks = given.evidence or (None,) * len(rig.cameras)
         evidence = tuple(_refined(*both) for both in zip(clocks, result.pose_covariances, strict=True))
-        refined = replace(given, rig=result.rig, date=_today(), notes=notes, evidence=evidence)
+        refined = replace(given, rig=result.rig, date=today(), notes=notes, evidence=evidence)
         figures: dict[str, object] = _refine_figures(result)
         warnings = list(result.skipped)
         if options.time:
@@ -310,7 +185,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
         "reference": result.reference,
         "cameras": {clock.name: asdict(clock) for clock in result.cameras},
     }
-    return _Timed(replace(given, rig=rig, date=_today(), notes=notes.strip(), evidence=evidence), lines, figures)
+    return _Timed(replace(given, rig=rig, date=today(), notes=notes.strip(), evidence=evidence), lines, figures)
 
 
 def _rate(clock: CameraClock) -> str:
@@ -381,7 +256,3 @@ def _refine_figures(result: RefineResult) -> dict[str, object]:
         "skipped": list(result.skipped),
         "cameras": {camera.name: {"sigma_m": camera.sigma_m} for camera in result.rig.cameras},
     }
-
-
-def _today() -> str:
-    return datetime.now(UTC).date().isoformat()

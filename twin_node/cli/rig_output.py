@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import sys
+from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from twin_node.rig import RigFile
+
+
+def today() -> str:
+    """The date that a rig file written now has."""
+    return datetime.now(UTC).date().isoformat()
 
 
 def write_rig(rig_file: RigFile, path: Path) -> None:
