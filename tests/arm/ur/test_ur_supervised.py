@@ -120,6 +120,29 @@ def test_a_killed_driver_is_replaced_the_arm_paused_meanwhile(shift: Shift) -> N
     assert shift.stand_in.status().event("program paused: watchdog", begun) is not None
 
 
+def test_a_driver_that_is_told_to_end_stops_the_arm_first(shift: Shift) -> None:
+    """As a service's manager tells all of its processes."""
+    begun = shift.stand_in.status().clock
+    assert shift.driver.pid is not None
+    os.kill(shift.driver.pid, signal.SIGTERM)
+    shift.until_state(DriverState.HALTED, "driver process")
+    shift.until(lambda: shift.stand_in.status().event("program paused: watchdog", begun) is not None)
+    at_zero = shift.stand_in.status().event("speed slider at zero", begun)
+    paused = shift.stand_in.status().event("program paused: watchdog", begun)
+    assert at_zero is not None and paused is not None and at_zero.clock < paused.clock
+
+
+def test_a_driver_leaves_ctrl_c_to_its_supervisor(shift: Shift) -> None:
+    """It reaches all processes of a terminal."""
+    pid = shift.driver.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGINT)
+    shift.reports.clear()
+    shift.until(lambda: len(shift.reports) > 10)
+    assert shift.driver.pid == pid
+    assert {report.state for report in shift.reports} == {DriverState.READY}
+
+
 def test_a_hanging_driver_is_replaced(shift: Shift) -> None:
     hanging = shift.driver.pid
     assert hanging is not None
