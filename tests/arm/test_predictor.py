@@ -165,6 +165,11 @@ def test_beyond_its_path_an_arm_goes_on_as_fast_as_at_its_end_and_no_farther_tha
     stamp = NOW + 500 * MS
     ahead = predictor(planned(lasts_ms=500, velocity=0.5 * wrist)).ahead(stamp, stamp)
     np.testing.assert_allclose(ahead.positions[-1], READY + (0.5 + 0.2) * 0.5 * wrist, atol=1e-9)
+    begun = planned(lasts_ms=500, velocity=0.1 * wrist)  # and then five times as fast
+    stamps, end = np.append(begun.stamps, NOW + 700 * MS), begun.positions[-1] + 0.2 * 0.5 * wrist
+    faster = JointPath(MODEL.joint_names, stamps, np.concatenate([begun.positions, end[None]]))
+    ahead = predictor(faster).ahead(NOW + 700 * MS, NOW + 700 * MS)
+    np.testing.assert_allclose(ahead.positions[-1], end + 0.2 * 0.5 * wrist, atol=1e-9)
     stamp = NOW + 2500 * MS
     ahead = predictor(planned(lasts_ms=2500, velocity=wrist)).ahead(stamp, stamp)
     assert MODEL.upper[5] - 0.2 < READY[5] + 2.5 * wrist[5] < ahead.positions[-1, 5] == MODEL.upper[5]

@@ -36,7 +36,7 @@ DIMS = BLOCKS.grid.dims
 
 
 def assert_the_same(one: Carved, other: Carved) -> None:
-    for name in ("may_move", "likely_moves", "unknown"):
+    for name in ("may_move", "likely_moves", "unknown", "on_arm"):
         assert np.array_equal(getattr(one, name).words, getattr(other, name).words), name
 
 
@@ -63,6 +63,25 @@ def test_compiled_verdicts_are_the_plain_ones(seed: int, views: int, patch: int)
     rng = np.random.default_rng(seed)
     sights = [random_sight(table, rng, patch) for table in TABLES[:views]]
     assert_the_same(carved(BLOCKS, sights), carved_reference(BLOCKS, sights))
+
+
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
+@pytest.mark.parametrize("does", ["keeps", "frees", "shows"])
+def test_single_pixels_are_not_passed_over_for_those_about_them(does: str) -> None:
+    """About one in each block's part of the image: whole blocks are decided by the least and the most there."""
+    for seed, table in enumerate(TABLES * 3):
+        rng = np.random.default_rng(seed)
+        rare = rng.uniform(size=table.outside + 1) < 1 / 150
+        rare[-1] = False
+        depth = rng.uniform(1, 3, len(rare)).astype(np.float32)
+        free_until = {"keeps": np.where(rare, 0, 5), "frees": np.where(rare, depth, 0)}.get(does, 0 * depth)
+        free_until[-1] = 0
+        begin, end = (
+            np.where(rare, here, beside).astype(np.float32) for here, beside in ((depth - 0.3, 9), (depth, 0))
+        )
+        flags = np.zeros(len(rare), np.uint8)
+        sight = Sight(table, free_until.astype(np.float32), flags, Surface(begin, end) if does == "shows" else None)
+        assert_the_same(carved(BLOCKS, [sight]), carved_reference(BLOCKS, [sight]))
 
 
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
