@@ -177,6 +177,8 @@ def test_foreign_files_without_chunks_or_index(tmp_path: Path, chunked: bool, in
         writer.finish()
     with open_log(path) as log:
         assert [(m.stamp, m.message.a, m.message.b) for m in log.messages()] == [(i, i, 2) for i in range(200)]
+        assert [m.stamp for m in log.messages(start_ns=3, stop_ns=6)] == [3, 4, 5]
+        assert (log.start_ns, log.end_ns) == (0, 199)
         assert log.topics[0].count == 200
         assert log.damage is None
 

@@ -101,6 +101,7 @@ def test_latched_messages_beyond_the_size_do_not_begin_a_file_for_every_message(
 def test_one_file_is_read_by_mcap_s_own_reader(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "run.mcap") as writer:
         fill(writer, 10)
+        writer.close()  # as whoever wants the file now, and again when all is over
     with (tmp_path / "run.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"

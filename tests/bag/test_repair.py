@@ -99,6 +99,8 @@ def test_an_unfinished_recording_is_written_whole(tmp_path: Path, output: str) -
         assert [(topic.name, topic.latched) for topic in log.topics] == [("/a", False), ("/tf_static", True)]
     with pytest.raises(BagError, match="exists already"):
         repair(tmp_path / "cut.mcap", tmp_path / output)
+    with pytest.raises(BagError, match=r"expected a new name|exists already"):  # nobody can make it again
+        LogWriter(tmp_path / output)
 
 
 def test_repair_goes_on_behind_a_damaged_chunk(tmp_path: Path) -> None:

@@ -110,3 +110,16 @@ def test_a_camera_without_depth_does_not_see_past_what_another_measures() -> Non
     heights = GRID.centers(np.arange(GRID.size))[:, 2]
     assert unknown[middle & (heights < TABLE - 0.05)].all()
     assert not unknown[middle & (heights > TABLE + 0.1)].any()
+
+
+def test_what_is_put_down_later_stands_and_what_is_taken_away_does_not() -> None:
+    """A table top is laid onto the floor, and taken away again."""
+    observer = Observer(GRID, CarvingParameters(), StaticParameters(period_ns=0))
+    heights = GRID.centers(np.arange(GRID.size))[:, 2]
+    top = np.abs(heights - TABLE) < GRID.voxel_size
+    found = []
+    for number in range(9):
+        stamp = number * PERIOD_NS
+        state = over_a_table(stamp, None) if 2 <= number < 6 else state_of(stamp, None, with_depth=True)
+        found.append(np.count_nonzero(top[observer.observe(state).static.indices]))
+    assert found[1] == found[8] == 0 < found[5]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from forecast_worlds import GRID
@@ -109,6 +111,9 @@ def test_the_parts_of_what_falls_stop_as_its_lowest_does() -> None:
     whole = falling(centers, np.array([0.5, 0.0, -2.0]), above)
     floors = floors_of(GRID, table_at(height), centers, whole)
     assert np.allclose(floors, top + whole.above)
+    higher = np.array([0.0, 0.0, 0.4 * GRID.voxel_size])
+    raised = floors_of(replace(GRID, origin=GRID.origin + higher), table_at(height), centers + higher, whole)
+    assert np.allclose(raised, floors + higher[2])
 
 
 def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> None:

@@ -21,19 +21,23 @@ def one_part(places: np.ndarray) -> Points:
     return Points(places.astype(np.int32), np.zeros(places.shape[1], np.int64), np.ones(places.shape[1], np.bool_))
 
 
-@given(st.tuples(*[st.floats(-0.4, 0.4)] * 3), st.floats(-1, 1), st.sampled_from([(4, 0.04), (1, 0.08)]))
+@given(st.integers(0, 2**32 - 1), st.floats(-1, 1), st.sampled_from([(4, 0.04), (1, 0.08)]))
 def test_whole_ways_hold_every_place_between_ahead_and_behind(
-    ahead: tuple[float, float, float], share: float, size_and_radius: tuple[int, float]
+    seed: int, share: float, size_and_radius: tuple[int, float]
 ) -> None:
-    size, radius = size_and_radius
-    places = np.stack(np.meshgrid(*[np.arange(24, 24 + size)] * 3, indexing="ij")).reshape(3, -1)
-    displacements, radii = np.array(ahead).reshape(1, 1, 3), np.full((1, 1), radius)
-    ways = whole_ways(one_part(places), displacements, radii, np.ones(1, np.bool_))
-    shifts, reach = shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii)
-    held = spread(GRID, ways.points, shifts, reach)[0].indices
-    middle = GRID.origin + (places.mean(axis=1) + 0.5) * GRID.voxel_size + share * np.array(ahead)
-    place = GRID.indices(middle[None])
-    assert np.isin(place[place >= 0], held).all()
+    """Of several parts, some of which do not turn: these are held ahead alone."""
+    rng, (size, radius), parts = np.random.default_rng(seed), size_and_radius, 3
+    block = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij")).reshape(3, -1)
+    corners = rng.integers(6, 26, (parts, 3))
+    places = np.concatenate([corner[:, None] + block for corner in corners], axis=1).astype(np.int32)
+    labels = np.repeat(np.arange(parts), block.shape[1])
+    points = Points(places, labels, np.ones(len(labels), np.bool_))
+    ahead, turning = rng.uniform(-0.4, 0.4, (1, parts, 3)), rng.uniform(size=parts) < 0.6
+    ways = whole_ways(points, ahead, np.full((1, parts), radius), turning)
+    held = spread(GRID, ways.points, shifts_of(GRID, ways.displacements), reach_of(GRID, ways.radii))[0].indices
+    moved = np.where(turning[:, None], share, 1) * ahead[0]
+    found = GRID.indices(GRID.origin + (corners + size / 2) * GRID.voxel_size + moved)
+    assert np.isin(found[found >= 0], held).all()
 
 
 def test_what_does_not_turn_is_left_as_it_is() -> None:
