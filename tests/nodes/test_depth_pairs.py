@@ -37,6 +37,16 @@ def test_whichever_comes_first_waits_for_the_other(late: int) -> None:
     assert told(pairs.add_colour(colour(1))) == [(PERIOD, PERIOD + late)]
 
 
+@pytest.mark.parametrize("late", [(-9, 2), (2, -9), (9, -2), (-2, 9)])
+def test_of_several_depth_images_the_nearest_is_taken(late: tuple[int, int]) -> None:
+    """A depth camera faster than its colour camera."""
+    pairs = DepthPairs(TOLERANCE)
+    for milliseconds in late:
+        pairs.add_depth(depth(1, milliseconds * MS))
+    nearest = min(late, key=abs) * MS
+    assert told(pairs.add_colour(colour(1))) == [(PERIOD, PERIOD + nearest)]
+
+
 def test_an_image_without_depth_goes_when_the_next_depth_comes() -> None:
     pairs = DepthPairs(TOLERANCE)
     assert pairs.add_colour(colour(0)) == []
