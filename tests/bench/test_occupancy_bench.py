@@ -120,6 +120,7 @@ def test_made_up_states_get_the_scores_they_earn() -> None:
     printed = bench.as_json()
     assert {"ours", "persistence", "constant_velocity", "worst_case", "truth"} <= set(printed)
     assert {"recall", "recall_now", "recall_new", "volume_l", "inflation", "iou"} <= set(printed["ours"])
+    assert printed["vacated_free_ms_p95"] is None and printed["unseen_not_free"] is None, "of no exact truth"
 
 
 def test_too_short_a_run_has_no_scores() -> None:

@@ -19,7 +19,7 @@ from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
-from twin_node.nodes.report.page import ReportError, _cards, _lead, _write
+from twin_node.nodes.report.page import ReportError, _cards, _curves, _lead, _write
 from twin_node.nodes.report.quality import Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
@@ -75,6 +75,13 @@ def test_a_made_up_arm_is_called_so(topic: str | None) -> None:
     told += [f"smallest distance to {whose} arm" in labels for whose in ("a made-up", "the")]
     told.append(figures["reasons"]["quality.psnr_arm_db"] == "nothing is told of an arm")
     assert told == [topic is None, topic is None, topic is None, topic is not None, topic is None]
+
+
+def test_where_nothing_came_due_no_empty_chart_promises_it() -> None:
+    run = short_run()
+    run.collector.stamps, run.collector.tier_counts = [0], [[1, 0, 0, 0, 0]]
+    drawn = [[curve.caption for curve in _curves(run, Foresight(recalls=recalls), 0)] for recalls in ((), ((0, 1.0),))]
+    assert [len(captions) for captions in drawn] == [3, 4]
 
 
 def test_the_first_set_of_lockstep_builds_the_model_and_is_no_work_per_set() -> None:

@@ -94,7 +94,7 @@ class OccupancyBench:
         named = {name: asdict(score) for name, score in self.scores.items()}
         own = {"truth": self.truth, "sets": self.sets, "coverage": self.coverage, "target": self.target}
         equal = None if self.persistence_equal_recall is None else asdict(self.persistence_equal_recall)
-        space = {} if self.space is None else asdict(self.space)
+        space = dict.fromkeys(SpaceScore.__dataclass_fields__) if self.space is None else asdict(self.space)
         body = None if self.body is None else asdict(self.body)
         return {**named, "persistence_equal_recall": equal, **space, **own, "update_ms": self.update_ms, "body": body}
 

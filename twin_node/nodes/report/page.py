@@ -218,8 +218,10 @@ def _curves(run: Run, foresight: Foresight, start: int) -> list[Captioned]:
         ),
         (pictures.tiers_over_time(seconds, np.array(collector.tier_counts)), "Gaussians per tier"),
         (pictures.curves(took[0], "ms", [latency]), ": ".join(took)),
-        (pictures.curves("Foreseen", "share", [recall]), "Share of what was seen to move that had been foreseen"),
     ]
+    if foresight.recalls:
+        share = pictures.curves("Foreseen", "share", [recall])
+        drawn.append((share, "Share of what was seen to move that had been foreseen"))
     return [Captioned(_encoded(data), caption) for data, caption in drawn]
 
 
