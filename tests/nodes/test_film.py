@@ -232,6 +232,22 @@ def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_pa
     assert np.array_equal(late[1], at_once[1])
 
 
+def test_an_image_older_than_the_twin_can_go_back_is_compared_with_nothing(tmp_path: Path) -> None:
+    """What one camera showed a second ago was compared with the twin of now, as if that were wrong."""
+    log = write_images(tmp_path / "a.mcap", {"late": (160, 120)})
+    twin = tmp_path / "twin.mcap"
+    with LogWriter(twin) as written:
+        for after_ms in (100, 1000):
+            stamp = START + after_ms * 1_000_000
+            written.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), stamp), stamp)
+        written.write(OCCUPANCY, convert.occupancy_to_message(EMPTY), START)
+    with Playback([log, twin], 160) as played:
+        film = Film(played, "beside", 160, arm_model("ur5e"))
+        drawn = [film.beside(played.at(START + ms * 1_000_000)).reshape(136, 4, 160, 3)[16:, 2] for ms in (100, 1000)]
+    assert drawn[0].max() > 0
+    assert drawn[1][:24].max() > 200 and not drawn[1][24:].any(), "words alone"
+
+
 def camera_of(name: str, size: tuple[int, int]) -> RigCamera:
     width, height = size
     return RigCamera(name, width, height, np.array([[50.0, 0, width / 2], [0, 50, height / 2], [0, 0, 1]]), np.eye(4))

@@ -104,12 +104,17 @@ class Snapshot:
 
         So a model that is some sets late is shown beside images and arm as it would be there.
         """
-        cloud = self.cloud
-        if cloud is None:
+        cloud, followed = self.cloud, self.followed_stamp
+        if cloud is None or followed is None:
             return None
-        said = (self.said[topic].message for topic in (GAUSSIANS, GAUSSIANS_MOVING) if topic in self.said)
-        seconds = (stamp - max(map(header_stamp, said))) * 1e-9
+        seconds = (stamp - followed) * 1e-9
         return cloud.moved(min(max(seconds, -LONGEST_MOVE_S), LONGEST_MOVE_S))
+
+    @property
+    def followed_stamp(self) -> int | None:
+        """Stamp of the set that all Gaussians follow, ns."""
+        said = (self.said[topic].message for topic in (GAUSSIANS, GAUSSIANS_MOVING) if topic in self.said)
+        return max(map(header_stamp, said), default=None)
 
     @property
     def cloud_now(self) -> GaussianCloud | None:

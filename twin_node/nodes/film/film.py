@@ -14,7 +14,7 @@ from twin_node.nodes.overlays import arm_mask, moving_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
-from twin_node.nodes.snapshot import SILENT_S, Snapshot, in_force
+from twin_node.nodes.snapshot import LONGEST_MOVE_S, SILENT_S, Snapshot, in_force
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Camera, Float32, GaussianCloud, ObstacleKind, UInt8, View
@@ -86,12 +86,17 @@ class Film:
         return draw_boxes(picture, camera, obstacles, obstacles.kinds == ObstacleKind.MOVING, MOVING_COLOUR)
 
     def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
-        is_old = view is None or snapshot.camera_silent_s(camera.name) > SILENT_S
-        ours = _rendering(camera, snapshot.cloud_now if view is None or is_old else snapshot.cloud_at(view.stamp))
+        is_silent = snapshot.camera_silent_s(camera.name) > SILENT_S
+        late_s = 0.0 if view is None else _late_s(view, snapshot)
+        is_told = view is not None and not is_silent and late_s <= LONGEST_MOVE_S
+        ours = _rendering(camera, snapshot.cloud_at(view.stamp) if view and is_told else snapshot.cloud_now)
         image = differs = foreseen = _blank(camera)
         if view is not None:
-            image, differs = _image(view, snapshot), differs if is_old else _difference(ours, view)
-            foreseen = self._foreseen(camera, view, snapshot)
+            image, foreseen = _image(view, snapshot), self._foreseen(camera, view, snapshot)
+            if is_told:
+                differs = _difference(ours, view)
+            elif not is_silent:
+                differs = _noted(differs, f"image {late_s:.1f} s before twin")
         titled = {
             camera.name: image,
             "twin": _pixels(ours),
@@ -149,11 +154,19 @@ def _image(view: View, snapshot: Snapshot) -> UInt8:
     silent_s = snapshot.camera_silent_s(view.camera.name)
     if silent_s <= SILENT_S:
         return view.rgb
-    picture = np.asarray(view.rgb // 2)
-    cv2.putText(
-        picture, f"no image for {silent_s:.0f} s", (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3, 1, cv2.LINE_AA
-    )
+    return _noted(np.asarray(view.rgb // 2), f"no image for {silent_s:.0f} s")
+
+
+def _noted(picture: UInt8, words: str) -> UInt8:
+    """A dark picture, and why it is."""
+    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, FONT, (255,) * 3, 1, cv2.LINE_AA)
     return picture
+
+
+def _late_s(view: View, snapshot: Snapshot) -> float:
+    """How much older an image is than the set that the twin follows, s; 0 where there is no twin yet."""
+    followed = snapshot.followed_stamp
+    return 0.0 if followed is None else (followed - view.stamp) * 1e-9
 
 
 def _difference(ours: Float32, view: View) -> UInt8:
