@@ -201,6 +201,8 @@ def test_baked_images_equal_live_ones(method: str, tmp_path: Path) -> None:
         trainer.advance()
     stamps = [one.stamp for one in recording.sets()]
     save_baked(bake_model(trainer.model, stamps, recording.cameras), tmp_path / "baked.safetensors")
+    with pytest.raises(ModelError, match=r"found twin_node baked, version 1;.*'twin_node import model' makes a log"):
+        load_checkpoint(tmp_path / "baked.safetensors")
     baked = load_baked(tmp_path / "baked.safetensors")
     assert baked.stamps == tuple(stamps)
     for view in recording.train:

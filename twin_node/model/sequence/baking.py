@@ -237,11 +237,12 @@ def is_baked(path: Path) -> bool:
 def load_baked(path: Path) -> Baked:
     """Reads what `save_baked` wrote. Raises `ModelError` for any other file."""
     file = read_tensors(path)
-    if file.metadata.get("format") != FORMAT or file.metadata.get("version") != str(VERSION):
-        found = file.metadata.get("format", "another kind of file")
-        raise ModelError(f"{path}: expected buffers of twin_node bake, version {VERSION}, found {found}")
+    metadata = file.metadata
+    if metadata.get("format") != FORMAT or metadata.get("version") != str(VERSION):
+        found = f"{metadata.get('format', 'another kind of file')}, version {metadata.get('version', 'unknown')}"
+        raise ModelError(f"{path}: expected buffers of twin_node bake, version {VERSION}, found {found}; bake it anew")
     try:
-        header = json.loads(file.metadata["header"])
+        header = json.loads(metadata["header"])
         return Baked(
             tuple(header["stamps"]),
             tuple(header["counts"]),

@@ -204,8 +204,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     file = read_tensors(path)
     metadata = file.metadata
     if metadata.get("format") != FORMAT or metadata.get("version") != str(VERSION):
-        found = metadata.get("format", "another kind of file")
-        raise ModelError(f"{path}: expected a checkpoint of twin_node train, version {VERSION}, found {found}")
+        found = f"{metadata.get('format', 'another kind of file')}, version {metadata.get('version', 'unknown')}"
+        raise ModelError(
+            f"{path}: expected a checkpoint of twin_node train, version {VERSION}, found {found}; give the checkpoint "
+            "(of what 'twin_node bake' has made 'twin_node import model' makes a log, which exports), or train it anew"
+        )
     try:
         header = json.loads(metadata["header"])
         if int(header["steps"]) < 1:
