@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.nodes.report.pictures import _broken, camera_column, table
+from twin_node.nodes.export.usd import linear
+from twin_node.nodes.report.pictures import FORESEEN, MASK, TRUE, _broken, camera_column, table
 from twin_node.scene import Float32
 
 
@@ -35,3 +36,11 @@ def test_curves_break_where_there_were_no_sets() -> None:
 def test_curves_of_few_sets_a_second_do_not_break() -> None:
     for seconds in (np.arange(5) * 2.0, np.zeros(1), np.zeros(0)):
         assert not np.isnan(_broken(seconds, seconds)[1]).any()
+
+
+def test_outlines_are_told_from_grey_by_who_sees_no_green() -> None:
+    """Machado, Oliveira & Fernandes 2009, deuteranopia: the moving masks' outline was the grey of the cell's floor."""
+    seen = np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]])
+    for colour in (FORESEEN, TRUE, MASK):
+        red, green, blue = (255 * np.clip(seen @ linear(np.array(colour) / 255), 0, 1)).tolist()
+        assert abs(blue - (red + green) / 2) > 30, colour

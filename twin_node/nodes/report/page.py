@@ -107,7 +107,7 @@ def _page(
     return environment.from_string(template).render(
         title=session.log.path.name,
         lead=_lead(session, run),
-        warnings=[f"{text} ({count} sets)" for text, count in figures["warnings"].items()],
+        warnings=[f"{text} ({count} set{'s' if count > 1 else ''})" for text, count in figures["warnings"].items()],
         changes=_changes(figures["cameras"]),
         cards=_cards(figures),
         strips=_strips(strips, start),

@@ -19,8 +19,8 @@ from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
 TIER_COLOURS = ("#9aa0a6", "#188038", "#1a73e8", "#4a148c", "#f29900")
 FORESEEN = (66, 133, 244)
 TRUE = (52, 168, 83)
-MASK = (255, 0, 160)
-"""Colours drawn into images, RGB."""
+MASK = (255, 0, 255)
+"""Colours drawn into images, RGB. With less blue the last is the grey of a floor to who sees no green."""
 ENLARGED_TO = 480
 """Images are shown at least this wide, pixels."""
 GAP_S, GAP_STEPS = 1.0, 4.0
