@@ -106,6 +106,18 @@ def test_a_board_that_rests_at_the_end_is_one_witness() -> None:
     calibrate_rig(BOARD, coded, RigOptions(lenses=False, board=False))
 
 
+def test_two_images_that_were_misread_alike_are_no_move() -> None:
+    """One made-up rig of fifty was refused for them: two of the last 22 images of a camera, 1 px off each."""
+    cameras = list(a_rig(0, outliers=0.0))
+    found = list(cameras[1].found)
+    for image in [n for n, corners in enumerate(found) if corners is not None][-3:-1]:
+        seen = found[image]
+        assert seen is not None
+        found[image] = replace(seen, pixels=seen.pixels + np.array([0.8, -0.5]))
+    cameras[1] = replace(cameras[1], found=tuple(found))
+    calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
 class _Printed(CharucoBoard):
     """A board that a printer made shorter along y."""
 

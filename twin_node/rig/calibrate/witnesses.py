@@ -62,13 +62,26 @@ class Witnesses:
     sightings: tuple[Sighting, ...]
     delays: Float64
     """[V] s."""
+    misfits: Float64
+    """[V] root mean square, in sigmas, of what each is off."""
 
     @classmethod
     def of(cls, given: Sequence[Sighting], bundle: BundleResult) -> Witnesses:
         """`given`: what the bundle was made of."""
         lost, unlike = {id(sighting) for sighting in bundle.left_out}, _unlike(bundle)
+        misfits = np.array(
+            [
+                np.sqrt((off**2).mean()) / bundle.noise_px[sighting.camera]
+                for sighting, off in zip(bundle.sightings, bundle.residuals, strict=True)
+            ]
+        )
         sightings = tuple(sighting for sighting, new in zip(bundle.sightings, unlike, strict=True) if new)
-        return cls(bundle, sightings, bundle.state.delays[[id(s) not in lost for s in given]][unlike])
+        return cls(bundle, sightings, bundle.state.delays[[id(s) not in lost for s in given]][unlike], misfits[unlike])
+
+    def without(self, view: int) -> Witnesses:
+        """All but one of them."""
+        sightings = (*self.sightings[:view], *self.sightings[view + 1 :])
+        return Witnesses(self.bundle, sightings, np.delete(self.delays, view), np.delete(self.misfits, view))
 
     def divided(self, camera: int, late: Bool) -> Step:
         """`late` [V] of the sightings are those of one more camera, which is as `camera` is at first."""
