@@ -66,7 +66,7 @@ def _replay(options: argparse.Namespace) -> None:
     _check_report(options.report, options.output)
     _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
-    session.warn()
+    session.warn(session.doubts)
     if options.budget_ms is not None or options.target is not None:
         parameters = _sized(session, parameters, options)
     _run(session, parameters, None if options.lockstep else options.rate, options.output, options.report)

@@ -65,8 +65,8 @@ def joint_doubts(names: Renamed) -> Iterator[str]:
     if told and JOINT_STATES not in told and TRAJECTORY not in names.spoken:
         are = f"{', '.join(told)}, where joints are told, {'are' if len(told) > 1 else 'is'} not read"
         yield (
-            f"{are}: an arm is made up, and the one in the images counts as something that moves; if these are the "
-            f"arm's, --remap {told[0]}:={JOINT_STATES}"
+            f"{are}: where an arm is judged it is made up, and the one in the images counts as something that moves; "
+            f"if these are the arm's, --remap {told[0]}:={JOINT_STATES}"
         )
 
 

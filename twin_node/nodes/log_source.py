@@ -57,8 +57,10 @@ class LogSession:
             self.camera_doubts = (*cameras.unused, *found.left_out, *rig_doubts(looked_through, self.rig))
             """What of the cameras may not be meant as it is taken, a line each."""
             unread = (f"not read: {line}" for line in self.log.left_out)
-            self.doubts: tuple[str, ...] = (*unread, *self.camera_doubts, *joint_doubts(names), *of_base, *of_clock)
-            """The same of all that is looked at."""
+            self.set_doubts = (*unread, *self.camera_doubts, *joint_doubts(names), *of_base)
+            """The same of all that sets are made of."""
+            self.doubts: tuple[str, ...] = (*self.set_doubts, *of_clock)
+            """The same for an arm that is to go by it."""
         except BaseException:
             self.log.close()
             raise
@@ -72,9 +74,9 @@ class LogSession:
         """In another process: opened there."""
         return LogSession, self._opened
 
-    def warn(self) -> None:
-        """Warns, with a `TwinWarning` each, of what may not be meant as it is taken; of each once in a command."""
-        for line in self.doubts:
+    def warn(self, doubts: Sequence[str]) -> None:
+        """Warns of some of its doubts, with a `TwinWarning` each; of each once in a command."""
+        for line in doubts:
             warnings.warn(f"{self.log.path}: {line}", TwinWarning, stacklevel=1)
 
     def expected_hz(self, most_hz: float | None) -> float:
@@ -120,7 +122,7 @@ class LogSource:
         Warns, with a `TwinWarning`, of what the session doubts, where damage has ended them, and of a camera that most
         of them lack, or its depth: what is made of them is made of a part.
         """
-        self._session.warn()
+        self._session.warn(self._session.set_doubts)
         held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
         self._synchronizer(bus, clock).configure()
