@@ -32,7 +32,7 @@ def patches(rng: np.random.Generator, height: int, width: int, share: float) -> 
 
 def depths(rng: np.random.Generator, height: int, width: int) -> Float32:
     """Of steps and noise; some are not measured."""
-    steps = np.where(patches(rng, height, width, 0.5), 1.2, 2.0) + rng.normal(0, 0.01, (height, width))
+    steps = np.where(patches(rng, height, width, 0.5), 0.6, 2.0) + rng.normal(0, 0.01, (height, width))
     return np.where(patches(rng, height, width, 0.2), 0, steps).astype(np.float32)
 
 

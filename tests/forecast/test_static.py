@@ -16,7 +16,7 @@ from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_
 from twin_node.forecast.tables import RigTables
 from twin_node.scene import Float32, GaussianCloud, Grid, Tier, TwinState, View
 
-CAMERA = camera("cam", np.array([1.3, 0.7, 1.0]))
+CAMERA = camera("cam", np.array([1.3, 0.7, 1.0]), roll=0.4)
 
 
 def view(depth: Float32) -> View:
