@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.errors import ForecastError
+from twin_node.forecast.filled import FilledDepth
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable, RigTables
 from twin_node.forecast.unprojection import unproject
@@ -40,6 +41,7 @@ class Carver:
         self._tables = tables
         self._blocks = tables.blocks
         self._backdrops = Backdrops()
+        self._filled = FilledDepth()
         self._fronts = _Fronts(self._blocks)
         self._last: tuple[TwinState, list[Sight]] | None = None
 
@@ -54,6 +56,7 @@ class Carver:
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             if misfit := view.misfit(moving=moving, robot=robot):
                 raise ForecastError(f"state of {state.stamp} ns: {misfit}")
+        self._filled.update(state, self._backdrops)
         self._backdrops.update(state)
         if opaque is not None:
             self._fronts.update(opaque)
@@ -86,7 +89,7 @@ class Carver:
             look = Look(table, view, moving, robot, backdrop, pixels)
             # Beyond that what it shows may be anywhere by now, and takes minutes to widen.
             looks.append(look if pixels <= max(moving.shape) / 2 else _showing_nothing(look))
-        sights = sights_of(looks, self.parameters)
+        sights = sights_of(self._filled.without(looks), self.parameters)
         flat = [(look, sight) for look, sight in zip(looks, sights, strict=True) if look.view.depth is None]
         measured = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
         for look, sight in flat:

@@ -27,7 +27,7 @@ _SPECK = 4
 """Pixels; what so few show to stand out is noise of their depth, and would be grown as a thing."""
 _MEASURED_WITHIN = 2
 """Pixels; an unmeasured one that moves is a hole in what is measured so near, else of a thing that is not measured."""
-_LEAST_BLANK = 12
+LEAST_BLANK = 12
 """Pixels of the smallest such thing; fewer are ground that is bare again and that an image happens not to measure."""
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 48.0)
 """Radii in pixels that widths in the image are told apart by."""
@@ -95,7 +95,7 @@ def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sigh
             camera.width, camera.height, camera.K[0, 0], look.error_pixels, *addresses_of(*arrays)
         )
     p, radii = parameters, np.array(_RADII)
-    counts = (len(looks), thread_count(), len(radii), _SPECK, _MEASURED_WITHIN, _LEAST_BLANK)
+    counts = (len(looks), thread_count(), len(radii), _SPECK, _MEASURED_WITHIN, LEAST_BLANK)
     lengths = (p.depth_margin, p.depth_share, p.thickness, p.thickness_share, _SLANT_M)
     compiled.run(kernel_requests.LookRequest(*counts, address_of(radii), *lengths, ctypes.addressof(given)))
     return sights
@@ -174,7 +174,7 @@ def _blank(view: View, moving: Bool, blind: Bool, found: Bool) -> Bool:
     """
     assert view.depth is not None
     near = cv2.dilate(found.astype(np.uint8), np.ones((2 * _MEASURED_WITHIN + 1,) * 2, np.uint8)) > 0
-    return _without_specks(moving & ~blind & (view.depth == 0) & ~near, _LEAST_BLANK)
+    return _without_specks(moving & ~blind & (view.depth == 0) & ~near, LEAST_BLANK)
 
 
 def _surface(

@@ -14,9 +14,14 @@ FINER = 3
 
 def unproject(view: View, where: NDArray[np.bool_], finer: int = FINER) -> Float32:
     """Base-frame points [n, 3] (m) of the pixels in `where` [H, W] of a view with depth: `finer`^2 all over each."""
-    assert view.depth is not None
     fine = cv2.resize(where.astype(np.uint8), None, fx=finer, fy=finer, interpolation=cv2.INTER_NEAREST)
     rows, columns = np.nonzero(fine)
+    return points_at(view, rows, columns, finer)
+
+
+def points_at(view: View, rows: NDArray[np.int64], columns: NDArray[np.int64], finer: int = 1) -> Float32:
+    """Base-frame points [n, 3] (m) that a view with depth measures at `rows` and `columns` [n], `finer` to a pixel."""
+    assert view.depth is not None
     z = view.depth[rows // finer, columns // finer]
     K, T = view.camera.K, view.camera.T_base_cam
     x = from_middle(columns, K[0, 2], finer) * z / np.float32(K[0, 0])
