@@ -36,7 +36,7 @@ def camera(name: str, eye: Float64, sigma_m: float = 0.002, roll: float = 0.0) -
 
 
 RIG = tuple(
-    camera(f"cam{number}", np.array([2.0 * np.cos(angle), 2.0 * np.sin(angle), 1.2]))
+    camera(f"cam{number}", np.array([2.0 * np.cos(angle), 2.0 * np.sin(angle), 1.2]), roll=0.2 * (number == 1))
     for number, angle in enumerate(np.deg2rad([0, 100, 190, 280]))
 )
 
