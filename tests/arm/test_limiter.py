@@ -41,6 +41,16 @@ def test_what_the_arm_is_told_has_the_time_at_which_it_is_told() -> None:
     assert (told.stamp, told.evidence_stamp) == (NOW + 50 * MS, NOW)
 
 
+@pytest.mark.parametrize("share", [math.nan, -0.1, 1.01, math.inf])
+def test_what_is_no_share_of_the_speed_is_told_to_no_arm(share: float) -> None:
+    """NaN was passed on, and the next decision at its full limit at once."""
+    limiter = at_full_speed()
+    with pytest.raises(ArmError, match="speed fraction of 0 to 1"):
+        limiter.decide(decision(share, 10), NOW + 10 * MS)
+    assert limiter.tick(NOW + 50 * MS).speed_fraction == 1.0
+    assert limiter.tick(NOW + 300 * MS).speed_fraction == 0.0
+
+
 def test_an_arm_that_was_stopped_rises_from_rest() -> None:
     limiter = at_full_speed()
     limiter.stand()

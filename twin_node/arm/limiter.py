@@ -59,7 +59,10 @@ class SpeedLimiter:
         """Takes a new decision at a time (ns) and gives back what the arm is told: `tick` at that time.
 
         Where nobody has asked for longer than a deadline, it rises from what the arm would have been told by now.
+        Raises `ArmError` for a speed that is no share of 0 to 1: what was told before goes on, and gets old.
         """
+        if not 0 <= separation.speed_fraction <= 1:
+            raise ArmError(f"decision: expected a speed fraction of 0 to 1, found {separation.speed_fraction}")
         with self._lock:
             if self._stamp is not None and (now - self._stamp) * 1e-9 > self.parameters.deadline_s:
                 self._tick(now)
