@@ -135,4 +135,6 @@ def _seen(look: Look, points: Float32, unchanged: Bool) -> tuple[Bool, Bool]:
     rows, columns = (np.where(inside, along, 0).astype(np.int64) for along in (v, u))
     depth = look.view.depth[rows, columns]
     seen = inside & (depth > 0) & (np.abs(depth - z) <= SAME_SHARE * z + SAME_M)
+    if look.view.valid is not None:
+        seen &= look.view.valid[rows, columns]
     return seen, unchanged[rows, columns]
