@@ -118,12 +118,12 @@ def test_depth_filled_in_for_a_part_of_somebody(share: float) -> None:
     """The upper part is measured, the lower one filled."""
     carver = Carver(RigTables(GRID))
     carver.carve(state_of(0, None, with_depth=True), 0.0)
-    true = state_of(1, CENTER, with_depth=True)
+    true = state_of(1, CENTER, 0.2, with_depth=True)
     views = []
     for view in true.frames.views:
         points = view.camera.T_base_cam[:3, 3] + rays(view.camera) * view.depth[..., None]
-        low = points[..., 2] < CENTER[2] + (2 * share - 1) * 0.12
+        low = points[..., 2] < CENTER[2] + (2 * share - 1) * 0.2
         views.append(replace(view, depth=np.where(low, floor_depth(view.camera), view.depth)))
     found = carver.carve(replace(true, frames=replace(true.frames, views=tuple(views))), 0.0)
 
-    assert (found.may_move | found.unknown).holds(BALL).mean() > 0.95
+    assert (found.may_move | found.unknown).holds(ball_voxels(CENTER, 0.2)).mean() > 0.95
