@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from twin_node.cli.parser import at_home
 from twin_node.errors import TwinError
-from twin_node.ranges import WIDTHS_PX, Range
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
 
 if TYPE_CHECKING:
@@ -27,16 +27,26 @@ RATES = Range(0.001, 1000)
 SPEEDS = Range(0.001, 1000)
 """Of clocks, by the recording's: at the least a camera of 15 Hz has an image a minute."""
 
+PORTS = Range(1, 65535)
+
+SEEDS = Range(0, 2**63 - 1024)
+"""Up to the last that is a float below 2**63, which torch does not take."""
+
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
     """Which part of a log to read, and how."""
-    parser.add_argument("--start-offset", type=not_negative, default=0.0, metavar="S", help="skip the first S seconds")
+    parser.add_argument("--start-offset", type=not_negative, metavar="S", help="skip the first S seconds")
     parser.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds of the log")
     parser.add_argument("--max-rate", type=positive, metavar="HZ", help="take at most so many image sets per second")
     parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     add_remap(parser)
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """The log that a command is about."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
 
 
 def add_remap(parser: argparse.ArgumentParser) -> None:
@@ -75,46 +85,67 @@ def with_source_options(parameters: ChainParameters, options: argparse.Namespace
 
 def positive(text: str) -> float:
     """A number above 0."""
-    value = _number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number above 0")
-    return value
+    return _within(text, POSITIVE, str(POSITIVE))
 
 
 def not_negative(text: str) -> float:
     """A number of 0 or more."""
-    value = _number(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
-    return value
+    return _within(text, NOT_NEGATIVE, "0 or more")
 
 
 def finite(text: str) -> float:
     """Any number."""
-    return _number(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
+    return value
 
 
 def whole(text: str) -> int:
     """A whole number of 1 or more."""
-    value = _number(text)
-    if value != int(value) or value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 1 or more")
-    return int(value)
+    return _whole_within(text, Range(1), "a whole number, 1 or more")
 
 
 def seed(text: str) -> int:
     """What random numbers begin from."""
-    value = _number(text)
-    if value != int(value) or not 0 <= value < 2**63:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number, 0 or more")
-    return int(text) if text.isdecimal() else int(value)
+    value = _whole_within(text, SEEDS, "a whole number, 0 or more")
+    return int(text) if text.isdecimal() else value  # a float does not hold every one
 
 
 def port(text: str) -> int:
     """A TCP port that can be listened on."""
-    value = _number(text)
-    if value != int(value) or not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535")
+    return _whole_within(text, PORTS, f"a port, {PORTS}")
+
+
+def rate(text: str) -> float:
+    """Moments or pictures per second."""
+    return _within(text, RATES, f"{RATES} per second")
+
+
+def speed(text: str) -> float:
+    """The speed of a clock, by that of the recording."""
+    return _within(text, SPEEDS, f"{SPEEDS} times the recording's speed")
+
+
+def width(text: str) -> int:
+    """A width in pixels."""
+    return _whole_within(text, WIDTHS_PX, f"a whole number of pixels, {WIDTHS_PX}")
+
+
+def _within(text: str, allowed: Range, expected: str) -> float:
+    value = finite(text)
+    if not allowed.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected {expected}")
+    return value
+
+
+def _whole_within(text: str, allowed: Range, expected: str) -> int:
+    value = finite(text)
+    if value != int(value) or not allowed.holds(value):
+        raise argparse.ArgumentTypeError(f"{text}: expected {expected}")
     return int(value)
 
 
@@ -145,44 +176,16 @@ def _is_writable(path: Path) -> bool:
 
 
 def refuse_given(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
-    """Raises `TwinError` that names those of some options that were given (are not None), where they would be ignored.
+    """Raises `TwinError` that names those of some options that were given, where they would be ignored.
 
     `why`: when they are expected, and what to do.
     """
-    given = ", ".join(f"--{name.replace('_', '-')}" for name in names if getattr(options, name) is not None)
+    given = given_of(options, names)
     if given:
-        raise TwinError(f"{given}: {why}")
+        raise TwinError(f"{', '.join(given)}: {why}")
 
 
-def rate(text: str) -> float:
-    """Moments or pictures per second."""
-    value = _number(text)
-    if not RATES.holds(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected {RATES} per second")
-    return value
-
-
-def speed(text: str) -> float:
-    """The speed of a clock, by that of the recording."""
-    value = _number(text)
-    if not SPEEDS.holds(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected {SPEEDS} times the recording's speed")
-    return value
-
-
-def width(text: str) -> int:
-    """A width in pixels."""
-    value = _number(text)
-    if value != int(value) or not WIDTHS_PX.holds(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of pixels, {WIDTHS_PX}")
-    return int(value)
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text}: expected a finite number")
-    return value
+def given_of(options: argparse.Namespace, names: Sequence[str]) -> list[str]:
+    """Those of some options that were given, as they are written; none of them has a default."""
+    values = {f"--{name.replace('_', '-')}": getattr(options, name) for name in names}
+    return [flag for flag, value in values.items() if value is not None and value is not False and value != []]

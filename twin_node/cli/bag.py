@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, positive, speed, whole
+from twin_node.cli.arguments import add_log, not_negative, positive, speed, whole
 
 
 def add_record(commands: Any) -> None:
@@ -45,7 +45,7 @@ def add_play(commands: Any) -> None:
         help="play a log to a live graph",
         description="Play a log under the flags of `ros2 bag play`. Enter pauses and goes on.",
     )
-    play.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    add_log(play)
     play.add_argument("-r", "--rate", type=speed, default=1.0, metavar="R", help="speed of the clock (default 1)")
     play.add_argument("-l", "--loop", action="store_true", help="again and again; time jumps back each time")
     play.add_argument(

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, check_output, whole, with_source_options
+from twin_node.cli.arguments import add_source_options, check_output, refuse_given, whole, with_source_options
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def add_bake(commands: Any) -> None:
     bake.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors", help="buffers to write")
     bake.add_argument("--steps", type=whole, metavar="N", help="bake N times, evenly over a checkpoint's span")
     bake.add_argument("--measure", action="store_true", help="compare speed and images with live evaluation")
-    bake.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(bake)
     add_source_options(bake)
     bake.set_defaults(run=_bake)
 
@@ -41,7 +42,8 @@ def _bake(options: argparse.Namespace) -> None:
         raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
     model = None
     if options.source.suffix == SUFFIX:
-        _refuse_log_options(options)
+        why = f"expected with a log; {options.source} is a checkpoint, which has its times and cameras"
+        refuse_given(options, ("start_offset", "duration", "max_rate", "width", "rig", "params", "remap"), why)
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header
         check_size(model, options.steps or len(header.stamps))
@@ -59,18 +61,6 @@ def _bake(options: argparse.Namespace) -> None:
         print(json_text(figures))
         return
     print(f"{options.output}: " + ", ".join(f"{name} {_shown(value)}" for name, value in figures.items()))
-
-
-def _refuse_log_options(options: argparse.Namespace) -> None:
-    """Options that a checkpoint would ignore are a mistake."""
-    from twin_node.errors import TwinError
-
-    names = ("start_offset", "duration", "max_rate", "width", "rig", "params", "remap")
-    given = ", ".join(f"--{name.replace('_', '-')}" for name in names if getattr(options, name))
-    if given:
-        raise TwinError(
-            f"{given}: expected with a log; {options.source} is a checkpoint, which has its times and cameras"
-        )
 
 
 def _evenly(first: int, last: int, count: int) -> list[int]:
@@ -91,7 +81,7 @@ def _bake_log(options: argparse.Namespace) -> Baked:
 
     chain = with_source_options(load_parameters(options.params), options)
     remaps = parse_remaps(options.remap)
-    with LogSession(options.source, options.rig, remaps, options.start_offset, options.duration) as session:
+    with LogSession(options.source, options.rig, remaps, options.start_offset or 0.0, options.duration) as session:
         model = make_model(chain)
         source = LogSource(session, chain.synchronizer, chain.arm.arm().joint_names)
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-import yaml
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, speed, whole, with_source_options
+from twin_node.cli.arguments import add_log, add_source_options, speed, whole, with_source_options
 from twin_node.cli.bench_calibration import add_bench_calibration
 from twin_node.cli.bench_cell import add_bench_cell, add_bench_collision
 from twin_node.cli.bench_forecast import add_bench_forecast
@@ -22,6 +20,7 @@ from twin_node.cli.bench_refined import add_bench_refined
 from twin_node.cli.bench_stability import add_bench_stability
 from twin_node.cli.bench_ur import add_bench_ur
 from twin_node.cli.bench_viewer import add_bench_viewer
+from twin_node.cli.output import add_json, print_figures
 from twin_node.json_text import json_text
 
 
@@ -32,19 +31,19 @@ def add_bench(commands: Any) -> None:
     )
     add_bench_occupancy(benches)
     track = benches.add_parser("track", help="how well and how fast the model follows a log")
-    track.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    add_log(track)
     track.add_argument("--rate", type=speed, metavar="R", help="follow in real time at R times the log's pace")
     track.add_argument(
         "--leave-out", metavar="CAMERA", help="score a model that never sees this camera, or all in turn"
     )
     track.add_argument("--bounce", type=whole, default=0, metavar="N", help="N passes, forward and backward in turn")
-    track.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(track)
     add_source_options(track)
     track.set_defaults(run=_bench_track)
     add_bench_masks(benches)
     add_methods(benches)
     raster = benches.add_parser("raster", help="speed of the rasteriser's backends")
-    raster.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(raster)
     raster.set_defaults(run=_bench_raster)
     add_bench_calibration(benches)
     add_bench_refined(benches)
@@ -72,7 +71,7 @@ def _bench_track(options: argparse.Namespace) -> None:
         bounce=options.bounce,
         rig=options.rig,
         remaps=parse_remaps(options.remap),
-        start_offset_s=options.start_offset,
+        start_offset_s=options.start_offset or 0.0,
         duration_s=options.duration,
         chain=with_source_options(load_parameters(options.params), options),
     )
@@ -83,7 +82,7 @@ def _bench_track(options: argparse.Namespace) -> None:
             bar.refresh()
 
         figures = run(options.log, parameters, show).as_json()
-    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print_figures(figures, options.json)
 
 
 def _bench_raster(options: argparse.Namespace) -> None:

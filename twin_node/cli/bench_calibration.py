@@ -8,6 +8,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import seed, whole
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 
@@ -17,7 +18,7 @@ def add_bench_calibration(benches: Any) -> None:
     parser.add_argument("--rigs", type=whole, default=50, metavar="N", help="number of made-up rigs (default 50)")
     parser.add_argument("--first-seed", type=seed, default=0, metavar="K", help="seed of the first rig (default 0)")
     parser.add_argument("--processes", type=whole, default=2, metavar="N", help="rigs at once (default 2)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.set_defaults(run=_bench_calibration)
 
 

@@ -8,9 +8,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-from twin_node.cli.arguments import not_negative, positive, whole
+from twin_node.cli.arguments import given_of, not_negative, positive, whole
+from twin_node.cli.output import add_json, warn
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 REFERENCE = Path("../shared/data/ur10e_model")
@@ -26,7 +26,7 @@ def add_bench_collision(benches: Any) -> None:
         metavar="DIR",
         help=f"folder of a UR10e's URDF, its meshes/ and cuRobo's *.yml (default: {REFERENCE}, where it is there)",
     )
-    collision.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(collision)
     collision.set_defaults(run=_bench_collision)
 
 
@@ -67,7 +67,7 @@ def add_bench_cell(benches: Any) -> None:
         "--cameras", action="store_true", help="only measure how fast the cameras of one scenario are rendered"
     )
     cell.add_argument("--out", type=Path, metavar="DIR", help="draw cell.png: work, and the first run's distances")
-    cell.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(cell)
     cell.set_defaults(run=_bench_cell)
 
 
@@ -105,7 +105,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         parameters = replace(parameters, latency_ms=options.latency)
     if options.out is not None:
         prepared(options.out)
-    results = cell.run(parameters, lambda runs, total: tqdm(runs, total=total, unit="run", disable=None))
+    results = cell.run(parameters, over("run"))
     figures = cell.summary(results)
     if options.out is not None:
         print(f"drawn: {draw(results, parameters, options.out)}", file=sys.stderr)
@@ -120,16 +120,9 @@ def _bench_cameras(options: argparse.Namespace) -> None:
     if len(options.scenarios) > 1 or options.scenarios == ["all"]:
         found = " ".join(options.scenarios)
         raise BenchError(f"--cameras: expected one scenario, whose cameras are measured, found {found}; give one")
-    given = {
-        "--twin": options.twin,
-        "--same-eyes": options.same_eyes,
-        "--latency": options.latency is not None,
-        "--set-rate": options.set_rate is not None,
-        "--out": options.out is not None,
-    }
-    names = [name for name, is_given in given.items() if is_given]
-    if names:
-        raise BenchError(f"--cameras: cameras are measured without arm and twin; leave out {' and '.join(names)}")
+    given = given_of(options, ("twin", "same_eyes", "latency", "set_rate", "out"))
+    if given:
+        raise BenchError(f"--cameras: cameras are measured without arm and twin; leave out {' and '.join(given)}")
     figures = asdict(measure(load_scenario(options.scenarios[0]), options.processes))
     print(json_text(figures) if options.json else "\n".join(f"{key}: {value}" for key, value in figures.items()))
 
@@ -140,7 +133,7 @@ def _bench_collision(options: argparse.Namespace) -> None:
 
     folder = options.reference or (REFERENCE if REFERENCE.is_dir() else None)
     if folder is None:
-        print(f"twin_node: warning: no {REFERENCE} here: clearances are not compared", file=sys.stderr)
+        warn(f"no {REFERENCE} here: clearances are not compared")
     reference = None if folder is None else ArmReference(folder)
-    figures = collision.run(reference, progress=lambda poses: tqdm(poses, unit="pose", disable=None))
+    figures = collision.run(reference, progress=over("pose"))
     print(json_text(figures) if options.json else collision.table(figures))

@@ -7,10 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from twin_node.cli.arguments import not_negative, positive, refuse_given, seed
-from twin_node.json_text import json_text
+from twin_node.cli.output import add_json, print_figures
 
 NOISE_M = 0.005
 FPS = 30.0
@@ -40,7 +38,7 @@ def add_bench_forecast(benches: Any) -> None:
     forecast.add_argument("--height", type=positive, metavar="M", help="of a BVH's person, m (default 1.75)")
     forecast.add_argument("--joints", nargs="+", metavar="NAME", help="score points whose names hold one")
     forecast.add_argument("--seed", type=seed, metavar="N", help="of the noise (default 0)")
-    forecast.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(forecast)
     forecast.set_defaults(run=_bench_forecast)
 
 
@@ -68,4 +66,4 @@ def _bench_forecast(options: argparse.Namespace) -> None:
         if options.height is not None:
             parameters = replace(parameters, height_m=options.height)
         figures = forecast.run(options.file, parameters).as_json()
-    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print_figures(figures, options.json)

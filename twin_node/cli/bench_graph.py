@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.cli.arguments import positive, whole
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 PARTS = ("latency", "hops", "idle", "kills", "recorder", "killed", "network", "cameras")
@@ -43,7 +44,7 @@ def add_bench_graph(benches: Any) -> None:
     graph.add_argument("--rounds", type=whole, default=2, metavar="N", help="runs of each kind (default 2)")
     graph.add_argument("--kills", type=whole, default=5, metavar="N", help="kills of each process (default 5)")
     graph.add_argument("--cuts", type=whole, default=3, metavar="N", help="cuts of the link (default 3)")
-    graph.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(graph)
     graph.set_defaults(run=_graph)
 
 

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import positive, whole, width
+from twin_node.cli.output import add_json
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 
@@ -26,7 +26,7 @@ def add_bench_masks(benches: Any) -> None:
     masks.add_argument(
         "--out", type=Path, metavar="DIR", help="draw masks_SCENARIO.png: some images of the first seed, all over time"
     )
-    masks.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(masks)
     masks.set_defaults(run=_bench_masks)
 
 
@@ -44,9 +44,7 @@ def _bench_masks(options: argparse.Namespace) -> None:
         prepared(options.out)
     benches = []
     for name, scenario in zip(names, scenarios, strict=True):
-        found = masks.run(
-            scenario, seeds, parameters, lambda sets, total: tqdm(sets, total=total, unit="set", disable=None)
-        )
+        found = masks.run(scenario, seeds, parameters, over("set"))
         if options.out is not None:
             print(f"drawn: {draw(found, options.out, f'masks_{Path(name).stem}')}", file=sys.stderr)
         benches.append(found)

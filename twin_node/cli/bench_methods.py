@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import refuse_given, whole, width
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def add_methods(benches: Any) -> None:
     methods.add_argument("--steps", type=whole, metavar="N", help="steps of the offline methods")
     methods.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     methods.add_argument("--out", type=Path, metavar="DIR", help="write methods.json and methods.png here")
-    methods.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(methods)
     methods.set_defaults(run=_bench_methods)
 
 

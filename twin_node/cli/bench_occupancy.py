@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-from tqdm import tqdm
-
-from twin_node.cli.arguments import add_source_options, whole, with_source_options
+from twin_node.cli.arguments import add_source_options, given_of, whole, with_source_options
+from twin_node.cli.output import add_json, print_figures
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def add_bench_occupancy(benches: Any) -> None:
         help="simulate the scenario LOG, or four of them (LOG is all), with so many seeds",
     )
     occupancy.add_argument("--first-seed", type=whole, metavar="K", help="with --seeds: the first of them (default 1)")
-    occupancy.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(occupancy)
     add_source_options(occupancy)
     occupancy.set_defaults(run=_bench_occupancy)
 
@@ -47,7 +46,7 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
         max_rate_hz=chain.synchronizer.max_rate_hz,
         rig=options.rig,
         remaps=parse_remaps(options.remap),
-        start_offset_s=options.start_offset,
+        start_offset_s=options.start_offset or 0.0,
         duration_s=options.duration,
         chain=chain,
     )
@@ -62,8 +61,8 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
         )
     _require_log(options.log)
     colour = None if options.hue is None else ColourOf(options.hue)
-    bench = run(options.log, options.markers, colour, parameters, lambda sets: tqdm(sets, unit="set", disable=None))
-    _show(bench.as_json(), options.json)
+    bench = run(options.log, options.markers, colour, parameters, over("set"))
+    print_figures(bench.as_json(), options.json)
 
 
 def _require_log(log: Path) -> None:
@@ -93,19 +92,11 @@ def _require_no_log_options(options: argparse.Namespace) -> None:
     """Raises `BenchError` for what says how a log is read, beside a scenario."""
     from twin_node.bench.errors import BenchError
 
-    given = {
-        "--markers": options.markers is not None,
-        "--hue": options.hue is not None,
-        "--rig": options.rig is not None,
-        "--start-offset": options.start_offset > 0,
-        "--max-rate": options.max_rate is not None,
-        "--remap": bool(options.remap),
-    }
-    names = [name for name, is_given in given.items() if is_given]
-    if names:
+    given = given_of(options, ("markers", "hue", "rig", "start_offset", "max_rate", "remap"))
+    if given:
         raise BenchError(
             f"--seeds: a scenario brings its own truth, rig and rate, and is run from its start; leave out "
-            f"{' and '.join(names)}"
+            f"{' and '.join(given)}"
         )
 
 
@@ -113,14 +104,10 @@ def _bench_seeds(scenario: str, seeds: range, parameters: OccupancyBenchParamete
     from twin_node.bench.seeds import ALL, SCENARIOS, run_seeds, table
 
     names = SCENARIOS if scenario == ALL else (scenario,)
-    benches = [run_seeds(name, seeds, parameters, lambda each: tqdm(each, unit="seed", disable=None)) for name in names]
+    benches = [run_seeds(name, seeds, parameters, over("seed")) for name in names]
     if not as_json:
         print(table(benches))
     elif scenario == ALL:
         print(json_text({"scenarios": [bench.as_json() for bench in benches]}))
     else:
         print(json_text(benches[0].as_json()))
-
-
-def _show(figures: dict[str, object], as_json: bool) -> None:
-    print(json_text(figures) if as_json else yaml.safe_dump(figures, sort_keys=False).rstrip())

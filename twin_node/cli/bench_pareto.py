@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import not_negative, positive, refuse_given, whole, width
+from twin_node.cli.output import add_json
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 
@@ -29,7 +29,7 @@ def add_bench_pareto(benches: Any) -> None:
         "--out", type=Path, metavar="DIR", help="write pareto.json, .md, .png, .svg and sizes.yaml here"
     )
     pareto.add_argument("--check", action="store_true", help="end with status 2 where an online method dominates ours")
-    pareto.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(pareto)
     pareto.set_defaults(run=_bench_pareto)
 
 
@@ -57,7 +57,7 @@ def _bench_pareto(options: argparse.Namespace) -> None:
     )
     if options.out is not None:
         prepared(options.out)
-    found = run(parameters, lambda names, total: tqdm(names, total=total, unit="method", disable=None))
+    found = run(parameters, over("method"))
     figures = found.as_json()
     print(json_text(figures) if options.json else text(found))
     if options.out is not None:
@@ -88,7 +88,7 @@ def add_bench_ablations(benches: Any) -> None:
     ablations.add_argument("--width", type=width, default=160, metavar="PX", help="working width (default 160)")
     ablations.add_argument("--processes", type=whole, default=1, metavar="N", help="runs at once (default 1)")
     ablations.add_argument("--out", type=Path, metavar="DIR", help="write ablations.json and .md here")
-    ablations.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(ablations)
     ablations.set_defaults(run=_bench_ablations)
 
 
@@ -96,7 +96,7 @@ def add_bench_costs(benches: Any) -> None:
     """Adds `bench costs`."""
     costs = benches.add_parser("costs", help="what a set costs by what moves and by the scene's size")
     costs.add_argument("--processes", type=whole, default=1, metavar="N", help="runs at once (default 1)")
-    costs.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(costs)
     costs.set_defaults(run=_bench_costs)
 
 
@@ -109,7 +109,7 @@ def add_bench_length(benches: Any) -> None:
     length.add_argument("--rate", type=positive, default=10.0, metavar="HZ", help="sets per second (default 10)")
     length.add_argument("--size", default="tiny", metavar="SIZE", help="size of the model (default tiny)")
     length.add_argument("--out", type=Path, metavar="DIR", help="write length.json, .md, .png and .svg here")
-    length.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(length)
     length.set_defaults(run=_bench_length)
 
 
@@ -120,7 +120,7 @@ def _bench_length(options: argparse.Namespace) -> None:
     if options.out is not None:
         prepared(options.out)
     parameters = length.LengthParameters(options.seconds, options.rate, options.size)
-    found = length.run(parameters, lambda spans, total: tqdm(spans, total=total, unit="min", disable=None))
+    found = length.run(parameters, over("min"))
     print(json_text(found.as_json()) if options.json else length.text(found))
     if options.out is not None:
         save_figures(options.out, "length", found.as_json(), length.markdown(found))
@@ -143,7 +143,7 @@ def _bench_ablations(options: argparse.Namespace) -> None:
         parameters = replace(parameters, names=_names(options.only))
     if options.out is not None:
         prepared(options.out)
-    rows = ablations.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    rows = ablations.run(parameters, over("run"))
     print(json_text(ablations.as_json(rows)) if options.json else ablations.text(rows))
     if options.out is not None:
         save_figures(options.out, "ablations", ablations.as_json(rows), ablations.markdown(rows))
@@ -153,5 +153,5 @@ def _bench_costs(options: argparse.Namespace) -> None:
     from twin_node.bench.pareto import costs
 
     parameters = costs.CostParameters(processes=options.processes)
-    found = costs.run(parameters, lambda rows, total: tqdm(rows, total=total, unit="run", disable=None))
+    found = costs.run(parameters, over("run"))
     print(json_text(costs.as_json(found)) if options.json else costs.text(found))

@@ -9,6 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import width
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 
@@ -19,7 +20,7 @@ def add_bench_refined(benches: Any) -> None:
     parser.add_argument("before", type=Path, metavar="BEFORE.yaml", help="rig file to begin with")
     parser.add_argument("after", type=Path, metavar="AFTER.yaml", help="rig file of calibrate refine")
     parser.add_argument("--width", type=width, default=240, metavar="PX", help="width of the images (default 240)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.set_defaults(run=_bench_refined)
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import whole
+from twin_node.cli.output import add_json
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 
@@ -22,7 +22,7 @@ def add_bench_stability(benches: Any) -> None:
     stability.add_argument("--processes", type=whole, default=2, metavar="N", help="runs at once (default 2)")
     stability.add_argument("--out", type=Path, metavar="DIR", help="write stability.json, .md, .png and .svg here")
     stability.add_argument("--check", action="store_true", help="end with status 2 where ours fails without a warning")
-    stability.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(stability)
     stability.set_defaults(run=_bench_stability)
 
 
@@ -38,7 +38,7 @@ def _bench_stability(options: argparse.Namespace) -> None:
         parameters = replace(parameters, names=tuple(dict.fromkeys(options.only)))
     if options.out is not None:
         prepared(options.out)
-    found = run(parameters, lambda results, total: tqdm(results, total=total, unit="run", disable=None))
+    found = run(parameters, over("run"))
     figures = found.as_json()
     print(json_text(figures) if options.json else chart.text(found))
     if options.out is not None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from tqdm import tqdm
-
 from twin_node.cli.arguments import whole
+from twin_node.cli.output import add_json
+from twin_node.cli.progress import over
 from twin_node.json_text import json_text
 
 
@@ -23,7 +23,7 @@ def add_bench_ur(benches: Any) -> None:
     parser.add_argument(
         "--fault", action="append", metavar="NAME", help="only this fault; repeatable; a wrong name lists them all"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.set_defaults(run=_bench_ur)
 
 
@@ -31,7 +31,7 @@ def _bench_ur(options: argparse.Namespace) -> None:
     from twin_node.bench import ur
 
     names = options.fault or ur.FAULT_NAMES
-    bench = ur.run(options.repeats, names, lambda faults: tqdm(list(faults), unit="fault", disable=None))
+    bench = ur.run(options.repeats, names, over("fault"))
     if options.json:
         print(json_text(bench.as_json()))
         return

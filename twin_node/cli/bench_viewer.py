@@ -6,10 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from twin_node.cli.arguments import refuse_given, whole
-from twin_node.json_text import json_text
+from twin_node.cli.output import add_json, print_figures
 
 ROUNDS = 3
 
@@ -27,7 +25,7 @@ def add_bench_viewer(benches: Any) -> None:
     viewer.add_argument(
         "-p", "--param", action="append", metavar="NODE.KEY:=VALUE", help="set a parameter of the replays; repeatable"
     )
-    viewer.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(viewer)
     viewer.set_defaults(run=_bench_viewer)
 
 
@@ -46,4 +44,4 @@ def _bench_viewer(options: argparse.Namespace) -> None:
         from twin_node.bench.viewer import run
 
         figures = run(options.log).as_json()
-    print(json_text(figures) if options.json else yaml.safe_dump(figures, sort_keys=False).rstrip())
+    print_figures(figures, options.json)

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import file_to_write, not_negative
+from twin_node.cli.arguments import file_to_write, not_negative, whole
 from twin_node.cli.calibrate_files import (
     add_board,
     add_check,
     add_import_calibration,
     add_rehearse,
     add_report,
+    board_of,
+    recordings_of,
 )
 from twin_node.cli.calibrate_hand_eye import add_hand_eye
 from twin_node.cli.calibrate_motion import add_refine, add_time
+from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:
-    from twin_node.rig.calibrate.boards import Board
     from twin_node.rig.calibrate.extrinsics import RigSolution
     from twin_node.rig.calibrate.intrinsics import DroppedView, LensCalibration
 
@@ -62,11 +63,11 @@ def add_intrinsics(kinds: Any) -> None:
     parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR", help="pictures of the board")
     parser.add_argument("--board", required=True, metavar="BOARD", help=BOARD_HELP)
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
-    parser.add_argument("--every", type=_every, default=1, metavar="N", help="take every Nth frame of a video")
+    parser.add_argument("--every", type=whole, default=1, metavar="N", help="take every Nth frame of a video")
     parser.add_argument(
         "-o", "--output", type=file_to_write, metavar="CAMERA.yaml", help="ROS camera_info file to write"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.set_defaults(run=_intrinsics)
 
 
@@ -92,16 +93,9 @@ def add_rig(kinds: Any) -> None:
         help="the board lies on the base S seconds after the start",
     )
     parser.add_argument("--partial", action="store_true", help="go on without cameras that share no views")
-    parser.add_argument("--every", type=_every, default=1, metavar="N", help="take every Nth frame of the videos")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--every", type=whole, default=1, metavar="N", help="take every Nth frame of the videos")
+    add_json(parser)
     parser.set_defaults(run=_rig)
-
-
-def _every(text: str) -> int:
-    """A whole number of 1 or more."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected a whole number of 1 or more")
-    return int(text)
 
 
 def _intrinsics(options: argparse.Namespace) -> None:
@@ -160,14 +154,12 @@ def _show_lens(calibration: LensCalibration, pictures: int) -> None:
 
 
 def _rig(options: argparse.Namespace) -> None:
-    from twin_node.rig.calibrate.board_files import find_board, load_board
     from twin_node.rig.calibrate.extrinsics import RigOptions, calibrate_rig
-    from twin_node.rig.calibrate.recordings import load_cameras, with_lenses
+    from twin_node.rig.calibrate.recordings import with_lenses
     from twin_node.rig.calibrate.results import board_as_base, left_open, rig_file_of
 
-    board: Board = load_board(options.board) if options.board else find_board(options.folder)
-    with tqdm(unit="picture", desc="board", disable=None) as bar:
-        cameras = load_cameras(options.folder, board, options.every, bar.update)
+    board = board_of(options.folder, options.board)
+    cameras = recordings_of(options.folder, board, options.every)
     if options.lenses is not None:
         from twin_node.rig import load_rig
 
@@ -187,17 +179,17 @@ def _rig(options: argparse.Namespace) -> None:
     T_base_rig = None if base_ns is None else board_as_base(solution, base_ns)
     rig_file = rig_file_of(solution, T_base_rig)
     write_rig(rig_file, options.output)
+    figures = _rig_figures(solution)
     if options.json:
-        print(json.dumps(_rig_figures(solution)))
+        print(json.dumps(figures))
     else:
-        _show_rig(solution, options.output)
-    for warning in left_open(rig_file):
-        print(f"twin_node: warning: {warning}", file=sys.stderr)
-    for name in solution.unconnected:
-        print(f"twin_node: warning: camera {name} shares no view of the board: left out", file=sys.stderr)
+        _show_rig(figures, solution, options.output)
+    warn(*left_open(rig_file))
+    warn(*(f"camera {name} shares no view of the board: left out" for name in solution.unconnected))
 
 
-def _rig_figures(solution: RigSolution) -> dict[str, object]:
+def _rig_figures(solution: RigSolution) -> dict[str, Any]:
+    """What `--json` prints."""
     import numpy as np
 
     from twin_node.rig.calibrate.board_shape import board_shape
@@ -253,48 +245,31 @@ def _rig_figures(solution: RigSolution) -> dict[str, object]:
     }
 
 
-def _show_rig(solution: RigSolution, output: Path) -> None:
-    import numpy as np
+def _show_rig(figures: dict[str, Any], solution: RigSolution, output: Path) -> None:
+    from twin_node.rig.calibrate.results import CERTAIN_SIGMAS
 
-    from twin_node.rig.calibrate.board_shape import board_shape
-    from twin_node.rig.calibrate.results import (
-        CERTAIN_SIGMAS,
-        agreement_sigmas,
-        camera_residuals,
-        clock_sigmas,
-        place_sigma,
-        pose_covariances,
-        readout_sigmas,
-        residuals_of,
-        residuals_of_all,
-    )
-
-    figures, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
-    clocks, readouts = clock_sigmas(solution), readout_sigmas(solution)
-    shape = board_shape(solution.board.points, state.points)
+    cameras, shape, layout = figures["cameras"], figures["board_shape"], solution.bundle.layout
     print(
-        f"{output}: {len(solution.names)} cameras, {len(solution.bundle.sightings)} views, reprojection median "
-        f"{figures.median_px:.3f} px, rms {figures.rms_px:.3f} px"
+        f"{output}: {len(cameras)} cameras, {figures['views']} views, reprojection median "
+        f"{figures['median_reprojection_px']:.3f} px, rms {figures['rms_px']:.3f} px"
     )
-    places = [place_sigma(covariance) for covariance in pose_covariances(solution, np.eye(4))]
-    for i, (name, sigma) in enumerate(zip(solution.names, agreement_sigmas(solution), strict=True)):
-        own = residuals_of(camera_residuals(solution, i))
-        offset, rate = state.clocks[i]
-        clock = ""
-        if solution.bundle.layout.clocks and i > 0:
-            clock = f", clock {1e3 * offset:+.2f} +- {1e3 * clocks[i, 0]:.2f} ms {1e6 * rate:+.0f} ppm"
-        shutter = ""
-        if abs(state.readouts[i]) > CERTAIN_SIGMAS * readouts[i]:
-            shutter = f", shutter rolls {1e3 * state.readouts[i]:.1f} +- {1e3 * readouts[i]:.1f} ms"
-        if (jitter := solution.bundle.jitter_s[i]) > TELLING_JITTER_S:
-            shutter += f", stamps off by {1e3 * jitter:.1f} ms one by one"
-        figures_px = f"median {own.median_px:.3f} px, rms {own.rms_px:.3f} px"
-        place = f"place +- {1e3 * places[i]:.2f} mm, sigma {1e3 * sigma:.2f} mm"
-        print(f"  {name}: {figures_px}, {place}{clock}{shutter}")
-    if solution.bundle.layout.shape:
+    for i, (name, own) in enumerate(cameras.items()):
+        told = [
+            f"median {own['median_reprojection_px']:.3f} px, rms {own['rms_px']:.3f} px",
+            f"place +- {1e3 * own['place_sigma_m']:.2f} mm, sigma {1e3 * own['sigma_m']:.2f} mm",
+        ]
+        if layout.clocks and i > 0:
+            sigma_ms = 1e3 * own["time_offset_sigma_s"]
+            told.append(f"clock {1e3 * own['time_offset_s']:+.2f} +- {sigma_ms:.2f} ms {own['time_rate_ppm']:+.0f} ppm")
+        if abs(own["readout_s"]) > CERTAIN_SIGMAS * own["readout_sigma_s"]:
+            told.append(f"shutter rolls {1e3 * own['readout_s']:.1f} +- {1e3 * own['readout_sigma_s']:.1f} ms")
+        if own["stamp_jitter_s"] > TELLING_JITTER_S:
+            told.append(f"stamps off by {1e3 * own['stamp_jitter_s']:.1f} ms one by one")
+        print(f"  {name}: {', '.join(told)}")
+    if layout.shape:
         print(
-            f"  board: corners {1e3 * shape.off_m:.2f} mm off the flat print stated, stretched by "
-            f"{100 * shape.stretch:.2f} %: the size of all is open by {100 * shape.size_sigma:.2f} % of itself"
+            f"  board: corners {1e3 * shape['off_m']:.2f} mm off the flat print stated, stretched by "
+            f"{100 * shape['stretch']:.2f} %: the size of all is open by {100 * shape['size_sigma']:.2f} % of itself"
         )
     _show_dropped(solution.dropped)
 

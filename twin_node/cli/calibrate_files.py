@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import positive
+from twin_node.cli.arguments import add_remap, positive
+from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
 
 if TYPE_CHECKING:
@@ -42,10 +42,8 @@ def add_check(kinds: Any) -> None:
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
     parser.add_argument("--duration", type=positive, default=20.0, metavar="S", help="of the log to read (default 20)")
-    parser.add_argument(
-        "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_remap(parser)
+    add_json(parser)
     parser.set_defaults(run=_check)
 
 
@@ -111,17 +109,15 @@ def _check(options: argparse.Namespace) -> int:
         if verdict.agreement is not None:
             print(f"what moves fits together by {verdict.agreement:.2f} (1: fully, 0: by chance)")
     if verdict.unseen:
-        print(
-            f"twin_node: warning: not judged: {', '.join(verdict.unseen)}, which saw the board never together with "
-            "another camera; check the clocks (time_offset), or record it where two see it",
-            file=sys.stderr,
+        warn(
+            f"not judged: {', '.join(verdict.unseen)}, which saw the board never together with another camera; check "
+            "the clocks (time_offset), or record it where two see it"
         )
     if not untold:
         return UNTOLD_STATUS if verdict.unseen else 0
-    print(
-        f"twin_node: warning: not told by this: {', '.join(untold)}; give a log of ten seconds in which a person or "
-        "the arm moves where all cameras see it",
-        file=sys.stderr,
+    warn(
+        f"not told by this: {', '.join(untold)}; give a log of ten seconds in which a person or the arm moves where "
+        "all cameras see it"
     )
     return UNTOLD_STATUS
 
@@ -131,8 +127,8 @@ def _against_recording(options: argparse.Namespace, rig: Rig) -> Verdict:
     from twin_node.rig.calibrate.rig_fit import common_sightings
 
     if options.recording.is_dir() and not (options.recording / "metadata.yaml").is_file():
-        board = _board(options.recording, options.board)
-        sightings = common_sightings(board, rig, _recordings(options.recording, board))
+        board = board_of(options.recording, options.board)
+        sightings = common_sightings(board, rig, recordings_of(options.recording, board))
         return check_against_board(board, rig, sightings)
     return _against_log(options, rig)
 
@@ -192,8 +188,8 @@ def _report(options: argparse.Namespace) -> None:
     files = [load_rig(path) for path in (options.rig, options.before) if path is not None]
     calibrations = [Calibration(rig_file) for rig_file in files]
     if options.folder is not None:
-        board = _board(options.folder, options.board)
-        recordings = _recordings(options.folder, board)
+        board = board_of(options.folder, options.board)
+        recordings = recordings_of(options.folder, board)
         calibrations = [
             Calibration(one, settled(board, one.rig, fit(board, one.rig, common_sightings(board, one.rig, recordings))))
             for one in files
@@ -205,14 +201,16 @@ def _report(options: argparse.Namespace) -> None:
     print(f"{options.output}: {len(files[0].rig.cameras)} cameras")
 
 
-def _board(folder: Path, text: str | None) -> Board:
+def board_of(folder: Path, text: str | None) -> Board:
+    """The board of `--board`, else the one that a folder of recordings holds."""
     from twin_node.rig.calibrate.board_files import find_board, load_board
 
     return load_board(text) if text else find_board(folder)
 
 
-def _recordings(folder: Path, board: Board) -> list[CameraRecording]:
+def recordings_of(folder: Path, board: Board, every: int = 1) -> list[CameraRecording]:
+    """Where the cameras of a folder saw the board, in every so many frames of its videos."""
     from twin_node.rig.calibrate.recordings import load_cameras
 
     with tqdm(unit="picture", desc="board", disable=None) as bar:
-        return load_cameras(folder, board, progress=bar.update)
+        return load_cameras(folder, board, every, bar.update)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import file_to_write
+from twin_node.cli.output import add_json
 from twin_node.cli.rig_output import today, write_rig
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def add_hand_eye(kinds: Any) -> None:
     parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
     parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
     parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     parser.set_defaults(run=_hand_eye)
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, file_to_write, positive
+from twin_node.cli.arguments import add_log, add_source_options, file_to_write, positive
+from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 
 if TYPE_CHECKING:
@@ -36,14 +35,14 @@ PLANE_WIDTH = 320
 def add_refine(kinds: Any) -> None:
     """Adds `calibrate refine`."""
     parser = kinds.add_parser("refine", help="better extrinsics from an ordinary recording, without a board")
-    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    add_log(parser)
     parser.add_argument(
         "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
     )
     parser.add_argument("--plane", choices=("auto", "none"), default="auto", help="use the plane that most views show")
     parser.add_argument("--time", action="store_true", help="afterwards also the clocks, as 'calibrate time' does")
     _add_clock_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     add_source_options(parser)
     parser.set_defaults(run=_refine)
 
@@ -51,12 +50,12 @@ def add_refine(kinds: Any) -> None:
 def add_time(kinds: Any) -> None:
     """Adds `calibrate time`."""
     parser = kinds.add_parser("time", help="clock offset and rate of every camera, from what moves")
-    parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    add_log(parser)
     parser.add_argument(
         "-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write, with the offsets"
     )
     _add_clock_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser)
     add_source_options(parser)
     parser.set_defaults(run=_time)
 
@@ -92,8 +91,7 @@ def _refine(options: argparse.Namespace) -> None:
             else:
                 refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
     write_rig(refined, options.output)
-    for reason in warnings:
-        print(f"twin_node: warning: {reason}", file=sys.stderr)
+    warn(*warnings)
     print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
 
 
@@ -155,7 +153,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     images = {camera.image: camera.name for camera in session.cameras}
     topics = {topic: images[name] for topic, name in session.topics.items() if name in images}
     for camera, step in camera_clock_steps(session.log, topics, session.span).items():
-        print(f"twin_node: warning: camera {camera}: {step.told(session.span.start_ns)}", file=sys.stderr)
+        warn(f"camera {camera}: {step.told(session.span.start_ns)}")
     arm = arm_model(options.arm) if options.arm else None
     parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
     source = LogSource(session, parameters, arm.joint_names if arm else ())
@@ -199,7 +197,9 @@ def _session(options: argparse.Namespace) -> LogSession:
     from twin_node.nodes.log_source import LogSession
     from twin_node.nodes.topics import parse_remaps
 
-    return LogSession(options.log, options.rig, parse_remaps(options.remap), options.start_offset, options.duration)
+    return LogSession(
+        options.log, options.rig, parse_remaps(options.remap), options.start_offset or 0.0, options.duration
+    )
 
 
 def _given(options: argparse.Namespace, rig: Rig) -> RigFile:

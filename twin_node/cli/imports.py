@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
+from twin_node.cli.output import warn
 from twin_node.cli.progress import counted
 
 
@@ -40,8 +40,7 @@ def _import_video(options: argparse.Namespace) -> None:
     ]
     with counted("import", "frame") as show:
         imported = import_video(cameras, options.output, show, workspace=rig_file.rig.workspace)
-    for warning in imported.warnings:
-        print(f"twin_node: warning: {warning}", file=sys.stderr)
+    warn(*imported.warnings)
     print(f"{options.output}: {sum(imported.frames)} images of {len(cameras)} cameras")
 
 

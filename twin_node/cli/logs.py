@@ -10,14 +10,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from twin_node.cli.arguments import add_log
+from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
 
 def add_info(commands: Any) -> None:
     """Adds `info` to the subcommands."""
     info = commands.add_parser("info", help="say what a log holds")
-    info.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
-    info.add_argument("--json", action="store_true", help="print one JSON object")
+    add_log(info)
+    add_json(info)
     info.set_defaults(run=_info)
 
 
@@ -30,8 +32,8 @@ def add_check(commands: Any) -> None:
         "An unfinished or damaged log is read as far as it goes; --repair writes that as a log that is whole, "
         "and looks that over.",
     )
-    check.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
-    check.add_argument("--json", action="store_true", help="print one JSON object")
+    add_log(check)
+    add_json(check)
     check.add_argument(
         "--repair", type=Path, metavar="OUT", help="write what can be read to a new .mcap file or folder"
     )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from twin_node.cli.output import warn
 
 if TYPE_CHECKING:
     from twin_node.nodes.playback import Playback
@@ -30,13 +31,8 @@ def open_playback(
 
     with Playback(logs, width, rig, with_images, parse_remaps(remaps)) as playback:
         known = playback.damage
-        _warn((*known, *playback.left_out, *playback.apart, *playback.doubts))
+        warn(*known, *playback.left_out, *playback.apart, *playback.doubts)
         try:
             yield playback
         finally:
-            _warn([damage for damage in playback.damage if damage not in known])
-
-
-def _warn(lines: Sequence[str]) -> None:
-    for line in lines:
-        print(f"twin_node: warning: {line}", file=sys.stderr)
+            warn(*(damage for damage in playback.damage if damage not in known))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from tqdm import tqdm
 
@@ -18,3 +19,12 @@ def counted(description: str, unit: str) -> Iterator[Callable[[int, int], None]]
             bar.update(done - bar.n)
 
         yield show
+
+
+def over(unit: str) -> Callable[..., Any]:
+    """What goes through things, so many in all, under a bar that counts them; none where nobody looks."""
+
+    def bar(things: Iterable[Any], total: int | None = None) -> Any:
+        return tqdm(things, total=total, unit=unit, disable=None)
+
+    return bar

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, port, positive, refuse_given, speed, with_source_options
+from twin_node.cli.arguments import (
+    add_log,
+    add_source_options,
+    port,
+    positive,
+    refuse_given,
+    speed,
+    with_source_options,
+)
+from twin_node.cli.output import warn
 from twin_node.cli.progress import counted
 from twin_node.cli.view import view_log
 from twin_node.errors import TwinError
@@ -27,7 +36,7 @@ PORT = 8080
 def add_replay(commands: Any) -> None:
     """Adds `replay` to the subcommands."""
     replay = commands.add_parser("replay", help="run the twin on a recorded log")
-    replay.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
+    add_log(replay)
     replay.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="write the /twin topics here")
     replay.add_argument("--report", type=Path, metavar="DIR", help="write report.json and report.html here")
     pace = replay.add_mutually_exclusive_group()
@@ -118,10 +127,9 @@ def _run(
         with replay(session, parameters, rate=rate, output=output, keep_ticks=report is not None, progress=show) as run:
             bar.close()
             if run.damage:
-                print(f"twin_node: warning: {run.damage}", file=sys.stderr)
+                warn(run.damage)
             strayed = run.collector.drift[-1].warnings if run.collector.drift else ()
-            for warning in (*run.missed(session), *strayed):
-                print(f"twin_node: warning: {warning}", file=sys.stderr)
+            warn(*run.missed(session), *strayed)
             told = f"{run.sets} sets ({run.followed} followed by the model), {run.dropped} dropped"
             print(f"{session.log.path}: {told}, in {run.seconds:.1f} s")
             if output is not None:
@@ -138,7 +146,7 @@ def _open_session(options: argparse.Namespace, remaps: dict[str, str]) -> LogSes
 
     if options.rig is not None:
         load_base_rig(options.rig)
-    return LogSession(options.log, options.rig, remaps, options.start_offset, options.duration)
+    return LogSession(options.log, options.rig, remaps, options.start_offset or 0.0, options.duration)
 
 
 def _check_size(options: argparse.Namespace) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from twin_node.cli.output import warn
 
 if TYPE_CHECKING:
     from twin_node.rig import RigFile
@@ -29,7 +30,7 @@ def write_rig(rig_file: RigFile, path: Path) -> None:
     if kept is None:
         return
     by_hand = f"; take over from there what was written by hand: {', '.join(lost)}" if lost else ""
-    print(f"twin_node: warning: {path} is replaced: what it was is in {kept}{by_hand}", file=sys.stderr)
+    warn(f"{path} is replaced: what it was is in {kept}{by_hand}")
 
 
 def _kept(path: Path) -> Path | None:

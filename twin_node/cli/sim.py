@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import positive, seed, width
+from twin_node.cli.arguments import given_of, positive, seed, width
 from twin_node.cli.progress import counted
 from twin_node.errors import TwinError
 
@@ -74,11 +74,8 @@ def _live(options: argparse.Namespace) -> int | None:
     from twin_node.cell import load_scenario
     from twin_node.cli.launch import launch
 
-    for name in ("seed", "width"):
-        if getattr(options, name) is not None:
-            raise TwinError(
-                f"sim: --{name} is for logs; give -o LOG.mcap too, or set it in a scenario file of your own"
-            )
+    for flag in given_of(options, ("seed", "width")):
+        raise TwinError(f"sim: {flag} is for logs; give -o LOG.mcap too, or set it in a scenario file of your own")
     load_scenario(options.scenario)
     arguments = [f"scenario:={options.scenario}"]
     if options.duration is not None:

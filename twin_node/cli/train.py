@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import check_output, seed, whole, width
+from twin_node.cli.arguments import add_remap, check_output, refuse_given, seed, whole, width
 from twin_node.cli.ending import SIGNALS, ended_by
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def add_train(commands: Any) -> None:
     )
     train.add_argument("--gaussians", type=whole, metavar="N", help="at most N Gaussians (default 20000)")
     train.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
-    train.add_argument(
-        "--remap", action="append", default=[], metavar="FROM:=TO", help="read topic FROM as TO; repeatable"
-    )
+    add_remap(train)
     train.add_argument("--resume", type=Path, metavar="FILE", help="go on from this checkpoint; exactly, on its device")
     train.add_argument("--device", metavar="NAME", help="torch device, such as cuda (default cpu, or that of --resume)")
     train.add_argument("--seed", type=seed, metavar="N", help="seed of all random numbers (default 0)")
@@ -132,13 +130,11 @@ def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
     """A new trainer, or the one of `--resume`; what the command line leaves out stays as it is."""
     from dataclasses import replace
 
-    from twin_node.errors import TwinError
     from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
 
     if options.resume is not None:
-        for name in ("method", "seed", "gaussians"):
-            if getattr(options, name) is not None:
-                raise TwinError(f"--{name}: expected without --resume, which goes on as {options.resume} began")
+        why = f"expected without --resume, which goes on as {options.resume} began"
+        refuse_given(options, ("method", "seed", "gaussians"), why)
         return load_checkpoint(options.resume).resume(recording, options.steps, options.device)
     given = {"method": options.method, "steps": options.steps, "seed": options.seed, "device": options.device}
     parameters = replace(TrainParameters(), **{name: value for name, value in given.items() if value is not None})
