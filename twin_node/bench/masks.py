@@ -10,7 +10,6 @@ import numpy as np
 from twin_node.bench.mask_scores import MaskFigures, MaskTally, PixelKinds, compare, figures_of
 from twin_node.bench.mask_truth import MovingParts
 from twin_node.bench.results_folder import markdown_table
-from twin_node.bench.seeds import at_width
 from twin_node.cell import CellSource, Scenario
 from twin_node.model import MovingMask, SeedParameters
 from twin_node.model.balance import balance
@@ -152,7 +151,7 @@ class ModelMasks:
 
 
 def _as_asked(scenario: Scenario, parameters: MasksBenchParameters) -> Scenario:
-    scaled = at_width(scenario, parameters.width)
+    scaled = scenario.at_width(parameters.width)
     rate_hz = min(scaled.sensing.rate_hz, parameters.max_rate_hz or np.inf)
     return replace(scaled, sensing=replace(scaled.sensing, rate_hz=rate_hz))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,15 @@ import numpy as np
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.flat_model import FlatModel
-from twin_node.geometry import project
 from twin_node.model.features import triangulate
 from twin_node.model.plane import Plane, dominant_plane
 from twin_node.model.quality import psnr
-from twin_node.model.rays import back_project
+from twin_node.model.rays import back_project, look
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig import Undistorter, workspace_of
 from twin_node.rig.calibrate.stills import Still, stills_of
+from twin_node.rig.undistort import without_distortion
 from twin_node.scene import Bool, Camera, Float32, Float64, Rig, View
 
 STILLS_RATE_HZ = 4.0
@@ -110,8 +110,7 @@ def run(
 
 def _stills(log: Path, rig: Rig) -> tuple[Still, ...]:
     """What stands still, in raw pixels: the log is read as if lenses had no distortion."""
-    raw = replace(rig, cameras=tuple(replace(c, distortion_model="plumb_bob", D=np.zeros(5)) for c in rig.cameras))
-    with LogSession(log, raw) as session:
+    with LogSession(log, without_distortion(rig)) as session:
         return stills_of(rig, LogSource(session, SynchronizerParameters(max_rate_hz=STILLS_RATE_HZ)))
 
 
@@ -169,11 +168,8 @@ def _where_on_plane(camera: Camera, plane: Plane, workspace: Float64) -> Bool:
 def _seen(camera: Camera, plane: Plane, other: Camera, standing: Bool) -> Bool:
     """[H, W] pixels of a camera whose point on the plane is in a standing pixel of another."""
     points = np.nan_to_num(_points(camera, plane), nan=1e6, posinf=1e6, neginf=-1e6)
-    u, v, z = project(other.K, other.viewmat, points.reshape(-1, 3)).T
-    inside = (z > 0) & (u >= 0) & (v >= 0) & (u < other.width) & (v < other.height)
-    seen = np.zeros(len(inside), np.bool_)
-    seen[inside] = standing[v[inside].astype(np.int64), u[inside].astype(np.int64)]
-    return seen.reshape(camera.height, camera.width)
+    at = look(other, points.reshape(-1, 3))
+    return (at.inside & at.within(standing)).reshape(camera.height, camera.width)
 
 
 def _pixel_m(views: Sequence[View], plane: Plane) -> float:

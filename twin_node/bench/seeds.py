@@ -161,15 +161,8 @@ def run_seeds(
 
 def _small(scenario: Scenario, parameters: OccupancyBenchParameters) -> Scenario:
     """The scenario at the working width, and no longer than asked for."""
-    scaled = at_width(scenario, parameters.width or scenario.sensing.width)
+    scaled = scenario.at_width(parameters.width or scenario.sensing.width)
     return replace(scaled, duration_s=min(scenario.duration_s, parameters.duration_s or np.inf))
-
-
-def at_width(scenario: Scenario, width: int) -> Scenario:
-    """A scenario whose cameras render images of a width, px, and of the shape that it gives them."""
-    sensing = scenario.sensing
-    height = round(sensing.height * width / sensing.width)
-    return replace(scenario, sensing=replace(sensing, width=width, height=height))
 
 
 def _scored(scenario: Scenario, parameters: OccupancyBenchParameters) -> OccupancyBench:

@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 from twin_node.cell import SimulatedRig
 from twin_node.cell.shapes import touched_voxels
 from twin_node.cell.solids import Solid
+from twin_node.forecast.comparison import Truth
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.geometry import inverse_pose, transform
 from twin_node.model.rays import back_project
-from twin_node.scene import Bool, Float32, Float64, FrameSet, Grid, View
+from twin_node.scene import Float32, Float64, FrameSet, Grid, View
 
 SEEN_PX = 3
 """A thing of which all cameras together show fewer pixels has not been seen: one may be noise."""
@@ -121,7 +122,7 @@ class Sightings:
         return self.grid.centers(np.unique(np.concatenate([np.empty(0, np.int64), *voxels])))
 
 
-class SeenThings:
+class SeenThings(Truth):
     """Whole things of which anything had been seen by the forecast's evidence: their hidden sides and limbs too."""
 
     source = "things of the simulated cell that had been seen"
@@ -140,10 +141,6 @@ class SeenThings:
     def volume_l(self, stamp: int) -> float | None:
         """Litres of these."""
         return len(self._sightings.occupied(stamp)) * litres_per_voxel(self._sightings.grid)
-
-    def pixels(self, view: View) -> Bool | None:
-        """Voxels have no pixels."""
-        return None
 
 
 class SeenSurfaces(SeenThings):

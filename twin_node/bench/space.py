@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.growth import grown
 from twin_node.forecast.own_space import own_space
-from twin_node.geometry import project
+from twin_node.model.rays import look
 from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, View
 
@@ -132,9 +132,7 @@ class _Rays:
 
     def __init__(self, view: View, robot: Bool | None, points: Float64) -> None:
         assert view.depth is not None
-        u, v, self.depth = project(view.camera.K, view.camera.viewmat, points).T
-        height, width = view.depth.shape
-        self.inside = (self.depth > 1e-3) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        rows, columns = (np.where(self.inside, at, 0).astype(np.int64) for at in (v, u))
-        self.surface = np.where(self.inside, view.depth[rows, columns], 0)
-        self.on_robot = np.zeros(len(points), np.bool_) if robot is None else self.inside & robot[rows, columns]
+        at = look(view.camera, points)
+        self.depth, self.inside = at.depth, at.inside
+        self.surface = np.where(at.inside, view.depth[at.rows, at.columns], 0)
+        self.on_robot = np.zeros(len(points), np.bool_) if robot is None else at.inside & at.within(robot)

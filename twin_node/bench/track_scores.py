@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin_node.model import WindowModel
-from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, squared_error
-from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Renderings, render_cloud, unit, valid_pixels
+from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, psnr_on, squared_error
+from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Mean, Renderings, render_cloud, unit, valid_pixels
 from twin_node.nodes.spool import Tick
 from twin_node.scene import HORIZONS_NS, Bool, FrameSet, TwinState, View
 
@@ -21,25 +20,6 @@ METHODS = ("ours", "frozen", "previous", "published", "moved_on")
 """What a rendering has in the place of an image: the cloud that follows its set, whenever that was out; the model as
 fitted to the first set; the camera's image before; and the newest cloud that was out when the image was taken, as it is
 and moved on along its velocities (none in lockstep)."""
-
-
-@dataclass
-class Mean:
-    """A running mean of the finite ones among the values added."""
-
-    total: float = 0.0
-    count: int = 0
-
-    def add(self, value: float) -> None:
-        """Takes in a value; one that is not finite does not count."""
-        if math.isfinite(value):
-            self.total += value
-            self.count += 1
-
-    @property
-    def value(self) -> float | None:
-        """None as long as nothing was added."""
-        return self.total / self.count if self.count else None
 
 
 @dataclass(frozen=True)
@@ -156,8 +136,8 @@ def _score_pair(state: TwinState, then: View, now: View, forecast: Mean, present
         return
     exposure = state.exposure_of(now.camera.name)
     for mean, seconds in ((forecast, (now.stamp - state.model_stamp) * 1e-9), (present, 0.0)):
-        error = squared_error(exposure.of(render_cloud(state.gaussians, now.camera, seconds)), image)
-        mean.add(psnr(float(error[changed].mean())))
+        shown = exposure.of(render_cloud(state.gaussians, now.camera, seconds))
+        mean.add(psnr_on(shown, image, changed))
 
 
 _SETS_BACK = 16
@@ -189,5 +169,4 @@ class LookingBack:
 
 def _shown_db(model: WindowModel, view: View) -> float:
     """PSNR of what the model shows of a view's time."""
-    error = squared_error(model.render(view.camera, view.stamp).rgb, unit(view))
-    return psnr(float(error[valid_pixels(view)].mean()))
+    return psnr_on(model.render(view.camera, view.stamp).rgb, unit(view), valid_pixels(view))

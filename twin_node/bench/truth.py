@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bag.trc import read_trc
+from twin_node.forecast.comparison import Truth
 from twin_node.forecast.score import colour_mask
 from twin_node.scene import Bool, Float64, View
 
@@ -25,7 +26,7 @@ class ColourOf:
         return colour_mask(rgb, self.hue)
 
 
-class Markers:
+class Markers(Truth):
     """Reference markers of a `.trc` file, in `base_link`."""
 
     source = "markers"
@@ -52,38 +53,14 @@ class Markers:
         between: Float64 = (1 - share) * self._positions[before] + share * self._positions[after]
         return between
 
-    def occupied(self, stamp: int) -> Float64 | None:
-        """Markers do not tell all that is occupied."""
-        return None
 
-    def volume_l(self, stamp: int) -> float | None:
-        """Markers have no volume."""
-        return None
-
-    def pixels(self, view: View) -> Bool | None:
-        """Markers have no pixels."""
-        return None
-
-
-class PixelTruth:
+class PixelTruth(Truth):
     """Pixels of one colour: an independent truth in the images where nothing measures space."""
 
     source = "colour"
 
     def __init__(self, colour: ColourOf) -> None:
         self._colour = colour
-
-    def points(self, stamp: int, evidence: int) -> Float64 | None:
-        """Pixels have no depth."""
-        return None
-
-    def occupied(self, stamp: int) -> Float64 | None:
-        """Nor do they tell what is occupied."""
-        return None
-
-    def volume_l(self, stamp: int) -> float | None:
-        """Pixels have no volume."""
-        return None
 
     def pixels(self, view: View) -> Bool | None:
         """[H, W] True on pixels of the colour."""

@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin_node.bench.track_scores import Mean
 from twin_node.model import MovingMask
-from twin_node.model.quality import psnr, squared_error
+from twin_node.model.quality import psnr_on
 from twin_node.model.rays import look, pixel_rays
-from twin_node.nodes.report.quality import FEWEST_PIXELS, Renderings, unit
+from twin_node.nodes.report.quality import FEWEST_PIXELS, Mean, Renderings, unit
 from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, TwinState
 
 SAMPLES = 256
@@ -66,7 +65,7 @@ class HullTally:
         picture = shown.frozen.copy()
         paint_hull(picture, view.camera, moving, shown.state)
         for mean, image in ((self.ours, shown.ours), (self.hull, picture)):
-            mean.add(psnr(float(squared_error(image, shown.image)[moving].mean())))
+            mean.add(psnr_on(image, shown.image, moving))
 
 
 def paint_hull(picture: Float32, camera: Camera, chosen: Bool, state: TwinState) -> None:

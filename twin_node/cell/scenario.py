@@ -352,6 +352,11 @@ class Scenario:
         """The same scenario under another seed: other noise and stamps, and other motion where it varies."""
         return replace(self, seed=seed)
 
+    def at_width(self, width: int) -> Scenario:
+        """The same scenario by cameras whose images are so wide, px, and keep their shape."""
+        height = max(round(self.sensing.height * width / self.sensing.width), 1)
+        return replace(self, sensing=replace(self.sensing, width=width, height=height))
+
 
 def _require_corners(where: str, workspace: tuple[Triple, Triple]) -> None:
     if np.any(np.array(workspace[0]) >= np.array(workspace[1])):

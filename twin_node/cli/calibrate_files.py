@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,16 +134,14 @@ def _against_recording(options: argparse.Namespace, rig: Rig) -> Verdict:
 
 def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
     """Raw images are wanted, small ones do: the log is read as if the lenses had no distortion."""
-    import numpy as np
-
     from twin_node.nodes.log_source import LogSession, LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
     from twin_node.nodes.topics import parse_remaps
     from twin_node.rig.calibrate.check import check_against_recording
+    from twin_node.rig.undistort import without_distortion
     from twin_node.robot import arm_model
 
-    lenses = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5)) for camera in rig.cameras)
-    raw = replace(rig, cameras=tuple(lenses))
+    raw = without_distortion(rig)
     arm = arm_model(options.arm) if options.arm else None
     with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=options.duration) as session:
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())

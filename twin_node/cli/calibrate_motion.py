@@ -220,9 +220,10 @@ def _stills(session: LogSession, rate_hz: float) -> tuple[Still, ...]:
     from twin_node.nodes.log_source import LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
     from twin_node.rig.calibrate.stills import stills_of
+    from twin_node.rig.undistort import without_distortion
 
     rig = session.rig
-    session.rig = replace(rig, cameras=tuple(replace(camera, D=0 * camera.D) for camera in rig.cameras))
+    session.rig = without_distortion(rig)
     sets = LogSource(session, SynchronizerParameters(max_rate_hz=rate_hz))
     return stills_of(rig, tqdm(sets, unit="set", desc="read", disable=None))
 

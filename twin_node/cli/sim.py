@@ -61,9 +61,7 @@ def _write(options: argparse.Namespace) -> None:
     if options.duration is not None:
         scenario = replace(scenario, duration_s=options.duration)
     if options.width is not None:
-        sensing = scenario.sensing
-        height = max(round(sensing.height * options.width / sensing.width), 1)
-        scenario = replace(scenario, sensing=replace(sensing, width=options.width, height=height))
+        scenario = scenario.at_width(options.width)
     with counted("simulate", "message") as show:
         write_log(scenario, options.output, show)
     print(f"{options.output}: {scenario.name}, seed {scenario.seed}, {scenario.duration_s:g} s")

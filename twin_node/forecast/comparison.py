@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -20,25 +19,28 @@ from twin_node.forecast.score import (
 from twin_node.scene import Bool, Float64, Occupancy, TwinState, UInt32, View
 
 
-class Truth(Protocol):
-    """What a recording knows about its scene besides what the twin was given."""
+class Truth:
+    """What a recording knows about its scene besides what the twin was given: of all that follows, nothing."""
 
-    @property
-    def source(self) -> str:
-        """Where it comes from, in words."""
+    source: str
+    """Where it comes from, in words."""
 
     def points(self, stamp: int, evidence: int) -> Float64 | None:
         """Points [n, 3] in metres that are occupied at a stamp (ns), of those that a forecast can be asked for whose
         evidence is as of another; None where nothing is known."""
+        return None
 
     def occupied(self, stamp: int) -> Float64 | None:
         """Points [n, 3] in metres of all that moving things occupy at a stamp; None where that is not known exactly."""
+        return None
 
     def volume_l(self, stamp: int) -> float | None:
         """Volume in litres of all that is occupied by moving things at a stamp; None where unknown."""
+        return None
 
     def pixels(self, view: View) -> Bool | None:
         """[H, W] pixels of the moving things in a view; None where unknown."""
+        return None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ def psnr(mean_squared_error: float) -> float:
     return -10 * math.log10(max(mean_squared_error, 1e-10))
 
 
+def psnr_on(image: NDArray[np.floating], target: NDArray[np.floating], pixels: NDArray[np.bool_]) -> float:
+    """PSNR, dB, of an image [H, W, 3] on some of its pixels [H, W], one at least."""
+    return psnr(float(squared_error(image, target)[pixels].mean()))
+
+
 def moving_pixels(image: NDArray[np.floating], first: NDArray[np.floating]) -> NDArray[np.bool_]:
     """[H, W] True where an image differs from the first frame by more than `MOVING_THRESHOLD` in some channel."""
     moving: NDArray[np.bool_] = np.max(np.abs(image - first), axis=-1) > MOVING_THRESHOLD

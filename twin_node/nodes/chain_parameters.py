@@ -16,7 +16,7 @@ from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section, check_sh
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
-from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters, values_of
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
 
@@ -62,13 +62,9 @@ def load_parameters(path: Path | None) -> ChainParameters:
 def chain_parameters(sections: Mapping[str, Mapping[str, Any]], where: str) -> ChainParameters:
     """The parameters that a file's sections give the chain's nodes, at the size that they name.
 
-    What `/**` says is every node's that has such a key, unless its own section says otherwise.
     Raises `ParameterError`, naming `where`, for a key that does not exist, with the nearest one.
     """
-    shared, given = sections.get(EVERY_NODE, {}), {}
-    for name, kind in get_type_hints(ChainParameters).items():
-        known = {f.name for f in dataclasses.fields(kind)}
-        given[name] = {**{key: value for key, value in shared.items() if key in known}, **sections.get(name, {})}
+    given = {name: values_of(kind, name, sections) for name, kind in get_type_hints(ChainParameters).items()}
     return sized(fill(ChainParameters, given, where), where)
 
 

@@ -18,8 +18,8 @@ from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
 from twin_node.rig import workspace_of
-from twin_node.runtime.bus import LocalBus
-from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.bus import Bus, LocalBus
+from twin_node.runtime.clock import Clock, SteppedClock
 from twin_node.scene import Camera, Float64, FrameSet, Rig
 
 DEFAULT_WIDTH = 160
@@ -79,6 +79,12 @@ class LogSession:
         for line in doubts:
             warnings.warn(f"{self.log.path}: {line}", TwinWarning, stacklevel=1)
 
+    def synchronizer(
+        self, bus: Bus, clock: Clock, parameters: SynchronizerParameters, joint_names: Collection[str]
+    ) -> SynchronizerNode:
+        """What groups the log's images; `joint_names`: the arm's, see `SynchronizerNode`."""
+        return SynchronizerNode(bus, clock, self.cameras, self.rig, parameters, joint_names=joint_names)
+
     def expected_hz(self, most_hz: float | None) -> float:
         """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
         counts = {topic.name: topic.count for topic in self.log.topics}
@@ -104,7 +110,8 @@ class LogSource:
         self._session = session
         self._parameters = parameters
         self._joint_names = joint_names
-        self._cameras = self._synchronizer(LocalBus(), SteppedClock()).cameras
+        unused = session.synchronizer(LocalBus(), SteppedClock(), parameters, joint_names)
+        self._cameras = unused.cameras
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -125,7 +132,7 @@ class LogSource:
         self._session.warn(self._session.set_doubts)
         held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
-        self._synchronizer(bus, clock).configure()
+        self._session.synchronizer(bus, clock, self._parameters, self._joint_names).configure()
         ready: list[FrameSet] = []
         bus.subscribe(FRAMES, ready.append)
         for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
@@ -137,12 +144,6 @@ class LogSource:
             warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
         for line in held.lacking([camera.name for camera in self._cameras], self._session.cameras):
             warnings.warn(line, TwinWarning, stacklevel=2)
-
-    def _synchronizer(self, bus: LocalBus, clock: SteppedClock) -> SynchronizerNode:
-        session = self._session
-        return SynchronizerNode(
-            bus, clock, session.cameras, session.rig, self._parameters, joint_names=self._joint_names
-        )
 
 
 def workspace_for(rig: Rig, cameras: Sequence[Camera]) -> Float64:

@@ -15,7 +15,7 @@ from twin_node.bag.qos import is_latched
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.player import Player
-from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
@@ -55,9 +55,7 @@ def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on
     """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message, and
     while the next is long in coming."""
     session, bus = order.session, LocalBus(is_latched)
-    synchronizer = SynchronizerNode(
-        bus, clock, session.cameras, session.rig, order.synchronizer, joint_names=order.joint_names
-    )
+    synchronizer = session.synchronizer(bus, clock, order.synchronizer, order.joint_names)
     synchronizer.configure()
     synchronizer.activate()
     bus.subscribe(FRAMES, on_frames)

@@ -24,7 +24,6 @@ from twin_node.nodes.player import Player
 from twin_node.nodes.reading import Finished, Order, Reading, play
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
-from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, RECORDED, GraphError
 from twin_node.runtime.arrivals import PATIENCE
 from twin_node.runtime.bus import LocalBus
@@ -132,14 +131,8 @@ class _Engine:
         """Every message in the log's order, each dealt with before the next: the same bytes every time."""
         clock = SteppedClock(self._session.span.start_ns)
         bus = LocalBus(is_latched)
-        synchronizer = SynchronizerNode(
-            bus,
-            clock,
-            self._session.cameras,
-            self._session.rig,
-            self._parameters.synchronizer,
-            joint_names=self._parameters.arm.arm().joint_names,
-        )
+        joint_names = self._parameters.arm.arm().joint_names
+        synchronizer = self._session.synchronizer(bus, clock, self._parameters.synchronizer, joint_names)
         synchronizer.configure()
         synchronizer.activate()
         collector = CollectorNode(bus, clock, self._spool)

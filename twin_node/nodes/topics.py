@@ -207,9 +207,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
             info=_info_topic(name, topic, types),
             depth=depth.get(name),
             depth_type=types[depth[name]] if name in depth else None,
-            depth_info=_depth_info_topic(depth[name], _info_topic(name, topic, types), types)
-            if name in depth
-            else None,
+            depth_info=_depth_info_topic(depth.get(name), _info_topic(name, topic, types), types),
             is_rectified=is_rectified(topic),
             is_depth_aligned=is_aligned_depth(depth.get(name, "")),
         )

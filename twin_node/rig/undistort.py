@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.errors import RigError
-from twin_node.scene import Bool, Camera, Float32, Float64, RigCamera, UInt8, View
+from twin_node.scene import Bool, Camera, Float32, Float64, Rig, RigCamera, UInt8, View
 
 SUPERSAMPLING = 1.5
 """Least pixels per output pixel and axis that are interpolated before averaging: fine texture leaves no aliases."""
@@ -144,6 +144,12 @@ class Undistorter:
         limit = np.array([shape[1] - 1, shape[0] - 1])
         inside = self._reached(pixels, np.asarray(((source >= 0) & (source <= limit)).all(-1)))
         return np.clip(source, 0, limit).astype(np.int16), inside
+
+
+def without_distortion(rig: Rig) -> Rig:
+    """The rig as if its lenses bent nothing: images read by it are raw ones."""
+    straight = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5)) for camera in rig.cameras)
+    return replace(rig, cameras=tuple(straight))
 
 
 def scaled_intrinsics(camera: RigCamera, width: int, height: int) -> Float64:

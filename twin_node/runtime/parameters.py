@@ -52,6 +52,16 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
 
 
+def values_of(kind: type[Any], name: str, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """What sections by node name give the node of a name, whose parameters are a `kind`.
+
+    What `/**` says is every node's that has such a key, unless its own section says otherwise.
+    """
+    known = {field.name for field in dataclasses.fields(kind)}
+    shared = {key: value for key, value in sections.get(EVERY_NODE, {}).items() if key in known}
+    return {**shared, **sections.get(name, {})}
+
+
 def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:
     """An instance of the dataclass `kind` with the given values in place of its defaults, or of those of `default`.
 

@@ -17,7 +17,8 @@ from twin_node.cell.raycast import RayCaster
 from twin_node.cell.shapes import Form, Placed, Shape
 from twin_node.cell.solids import Solid, capsule_between, sphere_at
 from twin_node.cell.textures import Texture
-from twin_node.geometry import pose, project, transform
+from twin_node.geometry import pose, transform
+from twin_node.model.rays import look
 from twin_node.model.sequence import Recording
 from twin_node.scene import Bool, Camera, Float64, UInt8, View
 
@@ -224,10 +225,7 @@ def _surface_points(solid: Solid, random: np.random.Generator) -> Float64:
 
 def _in_view(caster: RayCaster, scene: tuple[Solid, ...], points: Float64) -> Bool:
     """[P] whether a camera sees points [P, 3]: inside its image and not behind what it shows there."""
-    camera = caster.camera
-    uvz = project(camera.K, camera.viewmat, points)
-    column, row = np.floor(uvz[:, 0]).astype(int), np.floor(uvz[:, 1]).astype(int)
-    inside = (uvz[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    depth = caster.render(scene).depth[row.clip(0, camera.height - 1), column.clip(0, camera.width - 1)]
-    seen: Bool = inside & ((depth == 0) | (uvz[:, 2] <= depth + SURFACE_SLACK_M))
+    at = look(caster.camera, points)
+    depth = caster.render(scene).depth[at.rows, at.columns]
+    seen: Bool = at.inside & ((depth == 0) | (at.depth <= depth + SURFACE_SLACK_M))
     return seen

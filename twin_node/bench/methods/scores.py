@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import torch
 
 from twin_node.bench.methods.protocol import Fitted
-from twin_node.bench.track_scores import Mean
 from twin_node.model.quality import moving_pixels, psnr, squared_error
-from twin_node.nodes.report.quality import FEWEST_PIXELS, unit, valid_pixels
+from twin_node.nodes.report.quality import FEWEST_PIXELS, Mean, unit, valid_pixels
 from twin_node.scene import Bool, Float32, View
 from twin_node.splat import image_loss
 

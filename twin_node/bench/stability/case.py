@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from twin_node.bag.qos import is_latched
 from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.pictures import OURS, PICTURES, Pictures
-from twin_node.bench.stability.scenes import HEIGHT, WIDTH
 from twin_node.bench.stability.scores import Held, Outcome, TickScore, held
 from twin_node.bench.stability.shapes import Isometry, Shape
 from twin_node.bench.stability.shots import Shot, Stage
@@ -72,8 +71,7 @@ def run_case(case: Case) -> CaseResult:
     """Runs a case in lockstep: the same case gives the same figures."""
     failure = FAILURES[case.failure]
     scenario = failure.scene(case.level, failure.seconds(case.level, case.seconds)).with_seed(case.seed)
-    sensing = replace(scenario.sensing, width=case.width, height=round(case.width * HEIGHT / WIDTH))
-    stage = Stage(replace(scenario, sensing=sensing), case.stride)
+    stage = Stage(scenario.at_width(case.width), case.stride)
     twin = _Followed(stage, case.chain)
     sets = 0
     try:

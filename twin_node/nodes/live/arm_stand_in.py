@@ -8,6 +8,7 @@ import threading
 from dataclasses import dataclass
 
 from twin_node.cell.ur_sim import ControllerParameters, StandIn, StandInParameters
+from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.robot import ur_model
 from twin_node.runtime.node import Node
@@ -42,41 +43,36 @@ class UrSimNode(Node):
         )
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
-        self._thread: threading.Thread | None = None
-        self._error: BaseException | None = None
+        self._begun = threading.Event()
+        """Whether it listens, or has ended by itself."""
         self._finish = setup.finish
+        self._thread = OwnThread("controller", self._run, self._end)
 
     def on_activate(self) -> None:
-        listening = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(listening,), name="controller", daemon=True)
+        self._begun.clear()
         self._thread.start()
-        listening.wait()
-        if self._error is not None:
-            raise self._error
+        self._begun.wait()
+        self._thread.check()
 
     def on_deactivate(self) -> None:
         if self._loop is not None and self._task is not None:
             with contextlib.suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(self._task.cancel)
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def on_cleanup(self) -> None:
         """Raises what ended the controller."""
-        if self._error is not None:
-            raise self._error
+        self._thread.check()
 
-    def _run(self, listening: threading.Event) -> None:
+    def _run(self) -> None:
         async def stand_in() -> None:
             self._loop = asyncio.get_running_loop()
-            self._task = asyncio.ensure_future(StandIn(self._parameters).run(listening.set))
+            self._task = asyncio.ensure_future(StandIn(self._parameters).run(self._begun.set))
             with contextlib.suppress(asyncio.CancelledError):
                 await self._task
 
-        try:
-            asyncio.run(stand_in())
-        except BaseException as error:  # raised again in the node's thread: its process must not live on without it
-            self._error = error
-            self._finish()
-        finally:
-            listening.set()
+        asyncio.run(stand_in())
+
+    def _end(self) -> None:
+        self._finish()
+        self._begun.set()

@@ -15,7 +15,7 @@ from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
 from twin_node.robot import UR_NAMES
 from twin_node.robot.arms import AIRO
 from twin_node.runtime.node import Node
-from twin_node.runtime.parameters import EVERY_NODE
+from twin_node.runtime.parameters import values_of
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 
 DRIVER = "ur_driver"
@@ -66,8 +66,8 @@ def make_arm(setup: Setup) -> Node:
 
 def _launched_driver(setup: Setup) -> UrParameters | None:
     """What the launch says of its driver; None where it says nothing, or that no arm is driven (an empty `robot`)."""
-    section = setup.sections.get(DRIVER, {})
-    robot = {**setup.sections.get(EVERY_NODE, {}), **section}.get("robot", UrParameters.robot if section else "")
+    is_named = bool(setup.sections.get(DRIVER))
+    robot = values_of(UrParameters, DRIVER, setup.sections).get("robot", UrParameters.robot if is_named else "")
     return setup.parameters(UrParameters, DRIVER) if robot else None
 
 

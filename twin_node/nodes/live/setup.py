@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.live.sections import Sections
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
-from twin_node.runtime.parameters import EVERY_NODE, fill
+from twin_node.runtime.parameters import EVERY_NODE, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 
@@ -52,10 +51,8 @@ class Setup:
 
         Raises `ParameterError` for an unknown key of the node's own section, with the nearest known one.
         """
-        known = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
         name = self.name if section is None else section
-        shared = {key: value for key, value in self.sections.get(EVERY_NODE, {}).items() if key in known}
-        return fill(kind, {**shared, **self.sections.get(name, {})}, f"{self.where}: {name}")
+        return fill(kind, values_of(kind, name, self.sections), f"{self.where}: {name}")
 
     def rig(self) -> RigParameters:
         """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same.

@@ -13,7 +13,7 @@ import torch
 
 from twin_node.model import WindowModel
 from twin_node.model.first_light import FirstLight, is_blind, shows_something
-from twin_node.model.quality import moving_pixels, psnr, squared_error
+from twin_node.model.quality import moving_pixels, psnr_on
 from twin_node.model.rendering import Splats, render
 from twin_node.nodes.spool import Tick
 from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, TwinState, View
@@ -26,6 +26,25 @@ EARLIEST_NS = 1_000_000_000
 
 Image = Float32
 """[H, W, 3] 0 to 1."""
+
+
+@dataclass
+class Mean:
+    """A running mean of the finite ones among the values added."""
+
+    total: float = 0.0
+    count: int = 0
+
+    def add(self, value: float) -> None:
+        """Takes in a value; one that is not finite does not count."""
+        if math.isfinite(value):
+            self.total += value
+            self.count += 1
+
+    @property
+    def value(self) -> float | None:
+        """None as long as nothing was added."""
+        return self.total / self.count if self.count else None
 
 
 @dataclass(frozen=True)
@@ -209,17 +228,17 @@ def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> 
 
 def score(renderings: Iterable[Renderings]) -> Quality:
     """Mean PSNR over all images, for all valid pixels, moving ones, unchanged ones and the arm's."""
-    totals = {field.name: _Mean() for field in dataclasses.fields(Quality)}
+    totals = {field.name: Mean() for field in dataclasses.fields(Quality)}
 
     def add(figure: str, rendered: Image | None, shown: Renderings, pixels: Bool | None) -> None:
         if rendered is not None and pixels is not None and pixels.sum() >= FEWEST_PIXELS:
-            totals[figure].add(psnr(float(squared_error(rendered, shown.image)[pixels].mean())))
+            totals[figure].add(psnr_on(rendered, shown.image, pixels))
 
     for shown in renderings:
         moving, valid = moving_pixels(shown.image, shown.first) & shown.valid, shown.valid
         still, arm = ~moving & valid, None if shown.arm is None else shown.arm & valid
         if valid.any():
-            totals["psnr_db"].add(psnr(float(squared_error(shown.ours, shown.image)[valid].mean())))
+            totals["psnr_db"].add(psnr_on(shown.ours, shown.image, valid))
         for kind, pixels in (("moving", moving), ("unchanged", still), ("arm", arm)):
             add(f"psnr_{kind}_db", shown.ours, shown, pixels)
             add(f"frozen_psnr_{kind}_db", shown.frozen, shown, pixels)
@@ -268,20 +287,3 @@ def without(name: str, sets: Iterable[FrameSet], model: WindowModel) -> Iterator
         ours = render_cloud(state.gaussians, hidden.camera, (hidden.stamp - state.model_stamp) * 1e-9)
         yield Renderings(frames.stamp, hidden, None, None, image, first, ours, still, previous, state=state)
         previous = image
-
-
-class _Mean:
-    """A running mean; its value is None as long as nothing was added."""
-
-    def __init__(self) -> None:
-        self._sum = 0.0
-        self._count = 0
-
-    def add(self, value: float) -> None:
-        if math.isfinite(value):
-            self._sum += value
-            self._count += 1
-
-    @property
-    def value(self) -> float | None:
-        return self._sum / self._count if self._count else None
