@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from obstacle_sets import MS, NOW, Thing, obstacles, random_obstacles
 
-from twin_node.arm import AllowedRegion, ArmCollisionChecker, ArmError, Attachment, parallel_gripper
+from twin_node.arm import AllowedRegion, ArmCollisionChecker, ArmError, Attachment
 from twin_node.arm.obstacle_set import ObstacleSet
 from twin_node.arm.scene import CollisionScene
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
@@ -171,7 +171,9 @@ def test_an_old_pool_leaves_nothing_behind(ur5e_checker: ArmCollisionChecker) ->
 
 
 def test_a_held_part_counts_until_it_is_detached() -> None:
-    checker = ArmCollisionChecker("ur5e", tool=parallel_gripper(), max_obstacles=4)
+    body, fingers = [[0.0, 0.0, 0.045], [0.0, 0.0, 0.096]], [[0.0, -0.055, 0.14], [0.0, 0.055, 0.14]]
+    gripper = Attachment("gripper", np.array([body, fingers]), np.array([0.045, 0.02]))
+    checker = ArmCollisionChecker("ur5e", tool=gripper, max_obstacles=4)
     tool = forward_kinematics(checker.model, READY)[-1]
     below = tool[:3, 3] + tool[:3, 2] * 0.5
     checker.update(obstacles(Thing(tuple(below), size=(0.02,) * 3)))

@@ -1,6 +1,6 @@
 """From obstacles to the arm's speed: collision scene, checker, separation law."""
 
-from twin_node.arm.attachment import AllowedRegion, Attachment, parallel_gripper
+from twin_node.arm.attachment import AllowedRegion, Attachment
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
 from twin_node.arm.course import Commands, Underway
 from twin_node.arm.cycle import CycleParameters, CyclicPath, default_path
@@ -36,7 +36,6 @@ __all__ = [
     "decide",
     "default_path",
     "extrapolate",
-    "parallel_gripper",
     "path_ahead",
     "path_from_sample",
     "sample_path",

@@ -46,15 +46,3 @@ class AllowedRegion:
     """[3] upper corner, m, in `base_link`."""
     links: tuple[str, ...] = field(default=("wrist_3_link",))
     """Names of links and attachments."""
-
-
-def parallel_gripper(length_m: float = 0.16, width_m: float = 0.15) -> Attachment:
-    """Two capsules for an ordinary parallel gripper, body and open fingers; sizes are those of a Robotiq 2F-85."""
-    body = 0.045
-    ends = np.array(
-        [
-            [[0.0, 0.0, body], [0.0, 0.0, 0.6 * length_m]],
-            [[0.0, -width_m / 2 + 0.02, length_m - 0.02], [0.0, width_m / 2 - 0.02, length_m - 0.02]],
-        ]
-    )
-    return Attachment("gripper", ends, np.array([body, 0.02]))

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, check_ranges
-from twin_node.rig.cameras.image_source import WAIT_S, CameraHealth, CameraImage
+from twin_node.rig.cameras.image_source import WAIT_S, CameraImage
 from twin_node.rig.cameras.oak_lens import DepthBender, FactoryCalibration, factory_calibration
 from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.cameras.threaded_source import QUEUED_PER_CAMERA, RETRY_S, ThreadedSource
@@ -114,29 +114,22 @@ class OakSource(ThreadedSource[OakCamera]):
         self.calibrations: dict[str, FactoryCalibration] = {}
         """By camera name, of every device that has been connected."""
 
-    def _run(self, camera: OakCamera) -> None:
-        stamps = CaptureStamps(steady=lambda: _ns(self._dai.Clock.now()))
-        connections = 0
-        while not self._queue.closed.is_set():
-            message = f"device '{camera.device or 'any'}' not found; looking again every {RETRY_S:g} s"
-            try:
-                streams = self._connect(camera)
-            except RuntimeError as error:  # depthai's own: busy, no permission, wrong firmware
-                streams, message = None, " ".join(str(error).split())
-            if streams is not None:
-                connections += 1
-                self._health[camera.name] = CameraHealth(
-                    camera.name, is_connected=True, message="connected", reconnections=connections - 1
-                )
-                if streams.calibration is not None:
-                    self.calibrations[camera.name] = streams.calibration
-                message = self._read(camera, streams, stamps)
-            self._health[camera.name] = CameraHealth(
-                camera.name, is_connected=False, message=message, reconnections=max(connections - 1, 0)
-            )
-            self._queue.closed.wait(RETRY_S)
+    def _stamps(self) -> CaptureStamps:
+        return CaptureStamps(steady=lambda: _ns(self._dai.Clock.now()))
 
-    def _read(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:
+    def _read(self, camera: OakCamera, stamps: CaptureStamps, connected: Callable[[], None]) -> str:
+        try:
+            streams = self._connect(camera)
+        except RuntimeError as error:  # depthai's own: busy, no permission, wrong firmware
+            return " ".join(str(error).split())
+        if streams is None:
+            return f"device '{camera.device or 'any'}' not found; looking again every {RETRY_S:g} s"
+        connected()
+        if streams.calibration is not None:
+            self.calibrations[camera.name] = streams.calibration
+        return self._stream(camera, streams, stamps)
+
+    def _stream(self, camera: OakCamera, streams: OakStreams, stamps: CaptureStamps) -> str:
         """Images until the device is lost, or the source closed; says why it ended."""
         depths: list[Any] = []
         bender = DepthBender(streams.calibration)

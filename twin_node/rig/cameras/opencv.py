@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
-from twin_node.rig.cameras.image_source import CameraHealth, CameraImage
+from twin_node.rig.cameras.image_source import CameraImage
 from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.cameras.threaded_source import RETRY_S, ThreadedSource
 from twin_node.rig.errors import RigError
@@ -48,25 +48,15 @@ class OpenCvSource(ThreadedSource[OpenCvCamera]):
         super().__init__(cameras)
         self._capture = capture or _open_capture
 
-    def _run(self, camera: OpenCvCamera) -> None:
-        stamps = CaptureStamps()
-        connections = 0
-        while not self._queue.closed.is_set():
-            capture = self._open(camera)
-            try:
-                if capture.isOpened():
-                    connections += 1
-                    self._health[camera.name] = CameraHealth(
-                        camera.name, is_connected=True, message="connected", reconnections=connections - 1
-                    )
-                    self._read(camera, capture, stamps)
-            finally:
-                capture.release()
-            message = f"no image from {camera.address}; trying again every {RETRY_S:g} s"
-            self._health[camera.name] = CameraHealth(
-                camera.name, is_connected=False, message=message, reconnections=max(connections - 1, 0)
-            )
-            self._queue.closed.wait(RETRY_S)
+    def _read(self, camera: OpenCvCamera, stamps: CaptureStamps, connected: Callable[[], None]) -> str:
+        capture = self._open(camera)
+        try:
+            if capture.isOpened():
+                connected()
+                self._play(camera, capture, stamps)
+        finally:
+            capture.release()
+        return f"no image from {camera.address}; trying again every {RETRY_S:g} s"
 
     def _open(self, camera: OpenCvCamera) -> Any:
         capture = self._capture(int(camera.address) if camera.address.isdecimal() else camera.address)
@@ -79,7 +69,7 @@ class OpenCvSource(ThreadedSource[OpenCvCamera]):
                 capture.set(key, value)
         return capture
 
-    def _read(self, camera: OpenCvCamera, capture: Any, stamps: CaptureStamps) -> None:
+    def _play(self, camera: OpenCvCamera, capture: Any, stamps: CaptureStamps) -> None:
         """Images until there are none; files, which could be read at once, at their own rate and again and again."""
         frames = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         period_s = 1 / max(capture.get(cv2.CAP_PROP_FPS), 1.0) if frames > 0 else 0.0

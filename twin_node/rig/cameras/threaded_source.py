@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
+from twin_node.rig.cameras.stamps import CaptureStamps
 from twin_node.rig.errors import RigError
 
 RETRY_S = 1.0
@@ -54,7 +55,7 @@ class ThreadedSource(ABC, Generic[C]):
     def images(self) -> Iterator[CameraImage]:
         """Images as they come, until the source is closed."""
         for camera in self._cameras:
-            thread = threading.Thread(target=self._guarded, args=(camera,), name=camera.name, daemon=True)
+            thread = threading.Thread(target=self._serve, args=(camera,), name=camera.name, daemon=True)
             self._threads.append(thread)
             thread.start()
         yield from self._queue
@@ -65,19 +66,33 @@ class ThreadedSource(ABC, Generic[C]):
         for thread in self._threads:
             thread.join()
 
-    def _guarded(self, camera: C) -> None:
-        told = ""
+    def _serve(self, camera: C) -> None:
+        """Opens a camera again and again until the source is closed."""
+        stamps, connections, failed = self._stamps(), 0, ""
+
+        def connected() -> None:
+            nonlocal connections
+            connections += 1
+            self._health[camera.name] = CameraHealth(camera.name, True, "connected", connections - 1)
+
         while not self._queue.closed.is_set():
             try:
-                self._run(camera)
+                message = self._read(camera, stamps, connected)
             except Exception as error:  # whatever a camera's library raises: it may be well the next time
                 message = f"its thread failed: {error!r}; trying again every {RETRY_S:g} s"
-                self._health[camera.name] = CameraHealth(camera.name, is_connected=False, message=message)
-                if message != told:  # once into the log: the same again is no news
+                if message != failed:  # once into the log: the same again is no news
                     traceback.print_exc()
-                told = message
-                self._queue.closed.wait(RETRY_S)
+                failed = message
+            self._health[camera.name] = CameraHealth(camera.name, False, message, max(connections - 1, 0))
+            self._queue.closed.wait(RETRY_S)
+
+    def _stamps(self) -> CaptureStamps:
+        """What turns a camera's times into stamps."""
+        return CaptureStamps()
 
     @abstractmethod
-    def _run(self, camera: C) -> None:
-        """Puts a camera's images into the queue until that is closed."""
+    def _read(self, camera: C, stamps: CaptureStamps, connected: Callable[[], None]) -> str:
+        """Opens a camera, calls `connected` once it is, and puts its images into the queue until that is closed.
+
+        Ends where the camera is not there, or is lost; returns why.
+        """
