@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import (
     distance_to_segment,
     inverse_pose,
+    looking_at,
     pose,
     project,
     quat_from_rotation,
@@ -60,6 +61,22 @@ def test_a_motion_and_its_inverse_leave_points_where_they_are(seed: int) -> None
         np.testing.assert_allclose(transform(back, transform(motion, points)), points, atol=1e-12)
         np.testing.assert_allclose(motion @ back, np.eye(4), atol=1e-12)
     np.testing.assert_allclose(transform(motions[0], points), points @ rotations[0].T + motions[0, :3, 3])
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000), above=st.booleans())
+def test_who_looks_at_a_point_has_it_straight_ahead_and_is_upright(seed: int, above: bool) -> None:
+    rng = np.random.default_rng(seed)
+    eye, target = rng.uniform(-2, 2, (2, 3))
+    if above:
+        target = eye - [0.0, 0.0, 1.5]
+    T = looking_at(eye, target)
+    distance = np.linalg.norm(target - eye)
+    np.testing.assert_allclose(transform(inverse_pose(T), target[None])[0], [0, 0, distance], atol=1e-12)
+    np.testing.assert_allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) > 0
+    assert abs(T[2, 0]) < 1e-12  # the image's rows are level
+    assert above or T[2, 1] < 0  # and its columns run down
 
 
 def test_points_are_seen_where_similar_triangles_put_them() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
@@ -42,6 +42,19 @@ def pose(rotation: NDArray[np.floating], translation: NDArray[np.floating]) -> F
     T[:3, :3] = rotation
     T[:3, 3] = translation
     return T
+
+
+def looking_at(eye: ArrayLike, target: ArrayLike) -> Float:
+    """[4, 4] pose of an upright optical frame (x right, y down, z forward) at `eye` [3] that looks at `target` [3], m.
+
+    Up is z; along z it is x.
+    """
+    eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
 
 
 def inverse_pose(T: NDArray[np.floating]) -> Float:

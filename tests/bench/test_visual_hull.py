@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin_node.bench.visual_hull import HullTally, paint_hull
-from twin_node.geometry import pose, project
+from twin_node.geometry import looking_at, project
 from twin_node.nodes.report.quality import Renderings, unit
 from twin_node.scene import Camera, FrameSet, GaussianCloud, NodeStates, TwinState, View
 
@@ -18,11 +18,8 @@ def camera(name: str, degrees: float) -> Camera:
     """One of a ring of cameras that look at the origin from 2 m."""
     angle = np.radians(degrees)
     eye = 2 * np.array([np.cos(angle), np.sin(angle), 0.0])
-    forward = -eye / 2
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    rotation = np.stack([right, np.cross(forward, right), forward], 1)
     K = np.array([[60.0, 0, 40], [0, 60.0, 30], [0, 0, 1]])
-    return Camera(name, 80, 60, K, pose(rotation, eye))
+    return Camera(name, 80, 60, K, looking_at(eye, np.zeros(3)))
 
 
 def disc(one: Camera) -> np.ndarray:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import pose, project
+from twin_node.geometry import looking_at, pose, project
 from twin_node.scene import (
     Bool,
     Camera,
@@ -25,14 +26,9 @@ GRID = Grid(WORKSPACE[0], 0.03, (40, 40, 30))
 
 def camera(name: str, eye: Float64, sigma_m: float = 0.002, roll: float = 0.0) -> Camera:
     """A camera at `eye` that looks at the middle of the workspace, turned about its axis by `roll` (rad)."""
-    forward = WORKSPACE.mean(axis=0) - eye
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right = right / np.linalg.norm(right)
-    right = np.cos(roll) * right + np.sin(roll) * np.cross(forward, right)
-    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    rolled = Rotation.from_rotvec([0, 0, roll]).as_matrix()
     K = np.array([[90.0, 0, WIDTH / 2], [0, 90.0, HEIGHT / 2], [0, 0, 1]])
-    return Camera(name, WIDTH, HEIGHT, K, pose(rotation, eye), sigma_m)
+    return Camera(name, WIDTH, HEIGHT, K, looking_at(eye, WORKSPACE.mean(axis=0)) @ pose(rolled, np.zeros(3)), sigma_m)
 
 
 RIG = tuple(

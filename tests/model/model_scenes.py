@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from twin_node.geometry import pose
+from twin_node.geometry import looking_at
 from twin_node.model.rendering import Splats, render
 from twin_node.scene import Camera, FrameSet, JointSample, View
 
@@ -21,12 +21,9 @@ def camera(
     name: str, eye: Sequence[float], target: Sequence[float] = (0, 0, 0), width: int = 80, height: int = 60
 ) -> Camera:
     """A camera at `eye` that looks at `target`, 60 degrees wide."""
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
     focal = width / 2 / np.tan(np.radians(30))
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return Camera(name, width, height, K, pose(np.stack([right, np.cross(forward, right), forward], 1), np.array(eye)))
+    return Camera(name, width, height, K, looking_at(eye, target))
 
 
 def rig(width: int = 80, height: int = 60) -> tuple[Camera, ...]:

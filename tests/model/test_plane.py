@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin_node.geometry import pose, project, transform
+from twin_node.geometry import looking_at, project, transform
 from twin_node.model.plane import Plane, correlation
 from twin_node.model.rays import pixel_rays
 from twin_node.scene import Camera, Float64, View
@@ -14,13 +14,8 @@ WIDE = np.array([[20.0, 0, 32], [0, 20.0, 24], [0, 0, 1]])
 
 
 def view_from(eye: tuple[float, float, float], target: tuple[float, float, float]) -> View:
-    forward = np.array(target) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = pose(np.stack([right, np.cross(forward, right), forward], 1), np.array(eye))
     image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
-    return View(Camera("camera", 64, 48, WIDE, T), 0, image)
+    return View(Camera("camera", 64, 48, WIDE, looking_at(eye, target)), 0, image)
 
 
 def shared(a: View, b: View, plane: Plane) -> Float64:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin_node.geometry import pose
+from twin_node.geometry import looking_at, pose
 from twin_node.rig import DecodedImage, FrameAssembler, RigError, load_rig, workspace_of
 from twin_node.scene import Float64, JointSample, RigCamera
 
@@ -19,10 +19,7 @@ K = np.array([[240.0, 0, 159.5], [0, 240, 119.5], [0, 0, 1]])
 
 
 def camera(name: str, centre: tuple[float, float, float], target: tuple[float, float, float]) -> RigCamera:
-    z = np.subtract(target, centre) / np.linalg.norm(np.subtract(target, centre))
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return RigCamera(name, 320, 240, K, pose(np.stack([x, np.cross(z, x), z], axis=1), np.array(centre)))
+    return RigCamera(name, 320, 240, K, looking_at(centre, target))
 
 
 TARGET = (0.5, 0.0, 0.1)

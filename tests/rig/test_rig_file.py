@@ -17,21 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin_node.errors import TwinError
-from twin_node.geometry import inverse_pose, pose, rotation_from_quat
+from twin_node.geometry import inverse_pose, looking_at, pose, rotation_from_quat
 from twin_node.rig import CameraEvidence, RigError, RigFile, StampsFile, VideoSource, load_rig, save_rig
 from twin_node.scene import Float64, Rig, RigCamera
 
 PROJECT = Path(__file__).resolve().parents[2]
 SHARED = PROJECT.parent / "shared" / "data"
 K = [[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]]
-
-
-def looking_at(centre: list[float], target: list[float]) -> Float64:
-    """`T_base_cam` of an upright camera at `centre` that looks at `target`."""
-    z = np.subtract(target, centre) / np.linalg.norm(np.subtract(target, centre))
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return pose(np.stack([x, np.cross(z, x), z], axis=1), np.array(centre))
 
 
 def entry(name: str, centre: list[float]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from twin_node.geometry import looking_at
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, robot_mask, ur_model
 from twin_node.scene import Camera, Float32
@@ -17,14 +18,8 @@ MODEL = ur_model("ur5e")
 
 
 def camera_at(position: NDArray[np.float64], target: NDArray[np.float64], focal: float = 55.0) -> Camera:
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = position
     K = np.array([[focal, 0, 32.0], [0, focal, 20.0], [0, 0, 1.0]])
-    return Camera("test", 64, 40, K, pose)
+    return Camera("test", 64, 40, K, looking_at(position, target))
 
 
 def cast(camera: Camera, q: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:

@@ -14,7 +14,8 @@ from twin_node.forecast.evidence import Observer
 from twin_node.forecast.grid import encode_runs
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
-from twin_node.geometry import pose
+from twin_node.geometry import looking_at
+from twin_node.model.rays import pixel_rays
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.scene import (
     HORIZONS_NS,
@@ -94,11 +95,7 @@ def _cameras() -> tuple[Camera, ...]:
     cameras = []
     for number, angle in enumerate(np.deg2rad([0, 120, 240])):
         eye = middle + np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.8])
-        ahead = (middle - eye) / np.linalg.norm(middle - eye)
-        right = np.cross(ahead, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(ahead, right), ahead], axis=1)
-        cameras.append(Camera(f"cam{number}", WIDTH, HEIGHT, K, pose(rotation, eye), 0.002))
+        cameras.append(Camera(f"cam{number}", WIDTH, HEIGHT, K, looking_at(eye, middle), 0.002))
     return tuple(cameras)
 
 
@@ -118,11 +115,7 @@ def _state(number: int) -> TwinState:
 
 def _seen(camera: Camera, center: Float64) -> tuple[Float32, Bool]:
     """Depth [H, W] in metres of the ball before the floor, and where the ball shows."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
-    local = np.stack(
-        [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1
-    )
-    rays = local @ camera.T_base_cam[:3, :3].T
+    rays = pixel_rays(camera)
     offset = camera.T_base_cam[:3, 3] - center
     a, b = (rays**2).sum(axis=-1), (rays * offset).sum(axis=-1)
     inside = b**2 - a * (offset @ offset - BALL_RADIUS**2)

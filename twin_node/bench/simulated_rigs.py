@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig.calibrate.boards import CharucoBoard, Corners
 from twin_node.rig.calibrate.lenses import Lens, project
 from twin_node.rig.calibrate.tracks import CameraRecording
@@ -116,11 +116,8 @@ def _placed(count: int, spread: RigSpread, rng: np.random.Generator) -> Float64:
 
 def _looking(centre: Float64, target: Float64, roll: float) -> Float64:
     """`T_base_cam` of a camera upright but for its roll, rad."""
-    z = (target - centre) / np.linalg.norm(target - centre)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    upright = np.stack([x, np.cross(z, x), z], axis=1)
-    return pose(upright @ Rotation.from_euler("z", roll).as_matrix(), centre)
+    turned = Rotation.from_euler("z", roll).as_matrix()
+    return looking_at(centre, target) @ pose(turned, np.zeros(3))
 
 
 def _bowed(spread: RigSpread, rng: np.random.Generator) -> Float64:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.cell.scenario import CameraSpec, Scenario, Sensing
-from twin_node.geometry import pose
-from twin_node.scene import Camera, Float64, Rig, RigCamera
+from twin_node.geometry import looking_at
+from twin_node.scene import Camera, Rig, RigCamera
 
 
 def make_rig(scenario: Scenario) -> Rig:
@@ -25,14 +25,5 @@ def pinhole(camera: RigCamera) -> Camera:
 def _rig_camera(spec: CameraSpec, sensing: Sensing) -> RigCamera:
     focal = sensing.width / 2 / np.tan(np.radians(spec.fov_deg) / 2)
     K = np.array([[focal, 0, (sensing.width - 1) / 2], [0, focal, (sensing.height - 1) / 2], [0, 0, 1]])
-    T_base_cam = _looking(np.array(spec.position), np.array(spec.look_at))
+    T_base_cam = looking_at(spec.position, spec.look_at)
     return RigCamera(spec.name, sensing.width, sensing.height, K, T_base_cam)
-
-
-def _looking(position: Float64, target: Float64) -> Float64:
-    """Pose of an optical frame (x right, y down, z forward) at a position, looking at a point, upright."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    return pose(np.stack([right, np.cross(forward, right), forward], axis=1), position)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, Corners
 from twin_node.rig.calibrate.lenses import Lens, project, rays_of
 from twin_node.rig.calibrate.tracks import CameraRecording
@@ -112,14 +112,6 @@ def a_lens(model: str = "plumb_bob", width: int = 640, height: int = 480, focal:
         "equidistant": [0.02, -0.01, 0.004, -0.002],
     }
     return Lens(width, height, K, model, np.array(D[model]))
-
-
-def looking_at(centre: Float64, target: Float64) -> Float64:
-    """`T_base_cam` of an upright camera."""
-    z = (target - centre) / np.linalg.norm(target - centre)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    return pose(np.stack([x, np.cross(z, x), z], axis=1), centre)
 
 
 def around(count: int, radius: float = 2.0, arc: float = 1.2) -> list[Float64]:

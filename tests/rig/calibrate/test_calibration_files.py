@@ -13,10 +13,10 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from simulated_boards import a_lens, around, looking_at
+from simulated_boards import a_lens, around
 
 from twin_node.errors import TwinError
-from twin_node.geometry import inverse_pose, quat_from_rotation
+from twin_node.geometry import inverse_pose, looking_at, quat_from_rotation
 from twin_node.rig import RigError, load_rig, save_rig
 from twin_node.rig.calibrate.board_files import find_board, load_board
 from twin_node.rig.calibrate.boards import AprilGrid, CharucoBoard, Chessboard, CircleGrid

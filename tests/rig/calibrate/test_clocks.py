@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.cell import CellSource, load_scenario
-from twin_node.geometry import project
+from twin_node.geometry import looking_at, project
 from twin_node.rig import RigError
 from twin_node.rig.calibrate.arm_features import ArmClock
 from twin_node.rig.calibrate.arm_motion import Film
@@ -127,11 +127,8 @@ def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) 
 def camera_at(name: str, angle: float) -> Camera:
     """One that looks at the origin from so far round it, rad."""
     eye = np.array([1.2 * np.cos(angle), 1.2 * np.sin(angle), 0.9])
-    ahead = -eye / np.linalg.norm(eye)
-    right = np.cross(ahead, [0, 0, 1.0]) / np.linalg.norm(np.cross(ahead, [0, 0, 1.0]))
-    T = np.eye(4)
-    T[:3] = np.stack([right, np.cross(ahead, right), ahead, eye], axis=1)
-    return Camera(name, 96, 72, np.array([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]]), T)
+    K = np.array([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]])
+    return Camera(name, 96, 72, K, looking_at(eye, np.zeros(3)))
 
 
 def ball_seen(camera: Camera, t: float) -> np.ndarray:

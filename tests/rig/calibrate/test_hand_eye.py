@@ -24,7 +24,7 @@ from twin_node.rig.calibrate.hand_eye import HandEyeView, Mount, solve_hand_eye
 from twin_node.rig.calibrate.hand_eye_files import detect_target, read_lens, read_stops, read_target
 from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
 from twin_node.rig.calibrate.hand_eye_start import Stops, target_symmetries
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.scene import Float64, Rig, RigCamera
 
 CAMERA = RigCamera(

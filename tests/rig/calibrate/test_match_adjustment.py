@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.geometry import inverse_pose, looking_at, transform
+from twin_node.rig.calibrate.lenses import raw_pixels
 from twin_node.rig.calibrate.match_adjustment import MatchProblem
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.scene import RigCamera
@@ -22,11 +22,7 @@ ABOVE_HORIZON = (240.0, 20.0)
 
 
 def looking_down(name: str, eye: tuple[float, float, float], model: str) -> RigCamera:
-    forward = np.array([0.5, 0.1, 0.0]) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = pose(np.stack([right, np.cross(forward, right), forward], 1), np.array(eye))
+    T = looking_at(eye, [0.5, 0.1, 0.0])
     K = np.array([[400.0, 0, 239.5], [0, 405.0, 179.5], [0, 0, 1]])
     return RigCamera(name, 480, 360, K, T, model, LENSES[model])
 

@@ -14,11 +14,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from twin_node.cell import CellSource, load_scenario
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig import RigError, Undistorter, load_rig
 from twin_node.rig.calibrate.birds_eye import Sheet, plane_hits
 from twin_node.rig.calibrate.ground_matches import DISTINCT_PX, agreed_map, measured
-from twin_node.rig.calibrate.lens import raw_pixels
+from twin_node.rig.calibrate.lenses import raw_pixels
 from twin_node.rig.calibrate.matches import epipolar_px, feature_matches
 from twin_node.rig.calibrate.refine import DISTINCT, RefineResult, refine_rig
 from twin_node.rig.calibrate.stills import Still, stills_of
@@ -152,11 +152,7 @@ def over_a_table(rng: np.random.Generator) -> tuple[Rig, tuple[Still, ...]]:
     cameras, stills, texture = [], [], blotches(rng)
     for i, angle in enumerate(np.radians([10, 120, 260]) + rng.normal(0, 0.2, 3)):
         eye = np.array([0.6 + 0.6 * np.cos(angle), 0.6 + 0.6 * np.sin(angle), 0.7])
-        forward = np.array([0.6, 0.6, 0.0]) - eye
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        T = pose(np.stack([right, np.cross(forward, right), forward], 1), eye)
+        T = looking_at(eye, [0.6, 0.6, 0.0])
         K = np.array([[400.0, 0, 239.5], [0, 400.0, 179.5], [0, 0, 1]])
         camera = RigCamera(f"cam_{i}", 480, 360, K, T, D=np.array([*rng.normal(0, [0.04, 0.02, 5e-4, 5e-4]), 0.0]))
         u, v = np.meshgrid(np.arange(480.0), np.arange(360.0))

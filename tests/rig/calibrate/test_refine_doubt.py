@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from simulated_boards import looking_at
 
 from twin_node.bench.calibration import differences, laid_over
-from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.lenses import lens_of, project
+from twin_node.geometry import inverse_pose, looking_at, pose, transform
+from twin_node.rig.calibrate.lenses import lens_of, project, raw_pixels
 from twin_node.rig.calibrate.match_adjustment import adjust_matches
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.rig.calibrate.refine_doubt import doubt_of, witnesses_of

@@ -10,14 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from simulated_boards import a_lens, around, looking_at
+from simulated_boards import a_lens, around
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import inverse_pose, looking_at, transform
 from twin_node.rig import CameraEvidence, RigError, RigFile
 from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.lenses import lens_of
+from twin_node.rig.calibrate.lenses import lens_of, raw_pixels
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.report import Calibration, write_report
 from twin_node.rig.calibrate.rig_fit import BoardViews, _Eyes, _motion, fit, settled

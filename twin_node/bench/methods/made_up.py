@@ -17,7 +17,7 @@ from twin_node.cell.raycast import RayCaster
 from twin_node.cell.shapes import Form, Placed, Shape
 from twin_node.cell.solids import Solid, capsule_between, sphere_at
 from twin_node.cell.textures import Texture
-from twin_node.geometry import pose, transform
+from twin_node.geometry import looking_at, pose, transform
 from twin_node.model.rays import look
 from twin_node.model.sequence import Recording
 from twin_node.scene import Bool, Camera, Float64, UInt8, View
@@ -94,12 +94,7 @@ def _cameras(p: MadeUpParameters, count: int, name: str, offset_deg: float) -> t
     for index, degrees in enumerate(np.linspace(-60, 60, p.cameras)[:count]):
         angle = np.radians(degrees + offset_deg)
         eye = np.array([1.5 * np.cos(angle), 1.5 * np.sin(angle), 0.8 + 0.25 * (index % 2)])
-        forward = np.array([0.0, 0.0, 0.2]) - eye
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        cameras.append(Camera(f"{name}_{index}", width, height, K, pose(rotation, eye)))
+        cameras.append(Camera(f"{name}_{index}", width, height, K, looking_at(eye, [0.0, 0.0, 0.2])))
     return tuple(cameras)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twin_node.geometry import inverse_pose, project, rotation_from_quat
+from twin_node.geometry import inverse_pose, looking_at, project, rotation_from_quat
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.scene import Bool, Camera, Float64, Obstacles, Tier, UInt8
 
@@ -30,15 +30,9 @@ def orbit_camera(snapshot: Snapshot, width: int, height: int, seconds: float) ->
     outward = np.array(
         [np.cos(ELEVATION_RAD) * np.cos(angle), np.cos(ELEVATION_RAD) * np.sin(angle), np.sin(ELEVATION_RAD)]
     )
-    T = np.eye(4)
-    T[:3, 2] = -outward
-    T[:3, 0] = np.cross(T[:3, 2], [0, 0, 1.0])
-    T[:3, 0] /= np.linalg.norm(T[:3, 0])
-    T[:3, 1] = np.cross(T[:3, 2], T[:3, 0])
-    T[:3, 3] = middle + 2.2 * reach * outward
     focal = height / 2 / np.tan(FOV_RAD / 2)
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return Camera("orbit", width, height, K, T)
+    return Camera("orbit", width, height, K, looking_at(middle + 2.2 * reach * outward, middle))
 
 
 def _cell(snapshot: Snapshot) -> tuple[Float64, float]:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.rig.calibrate.lens import pixel_rays
+from twin_node.rig.calibrate.lenses import pixel_rays
 from twin_node.scene import Bool, Float64, FrameSet, Rig, RigCamera, UInt8
 from twin_node.thinning import thinned
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float32, Float64, RigCamera

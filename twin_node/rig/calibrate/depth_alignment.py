@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
-from twin_node.rig.calibrate.lenses import lens_of, project
+from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project, raw_pixels
 from twin_node.rig.calibrate.rotations import cross_matrix, moved
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float32, Float64, RigCamera, UInt8

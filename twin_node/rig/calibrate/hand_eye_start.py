@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float64, RigCamera
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from twin_node.rig.rig_checks import DISTORTION_LENGTHS
+from twin_node.rig.undistort import distort
 from twin_node.scene import Bool, Float64, RigCamera
 
 COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
@@ -155,3 +156,15 @@ def rays_of(lens: Lens, pixels: Float64) -> Float64:
     else:
         rays = cv2.undistortPointsIter(shaped, lens.K, lens.D, np.eye(3), np.eye(3), INVERSION_STOP)
     return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
+
+
+def pixel_rays(camera: RigCamera, pixels: Float64) -> Float64:
+    """Rays (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2] (OpenCV convention); undoes `distort`."""
+    return rays_of(lens_of(camera), pixels)
+
+
+def raw_pixels(camera: RigCamera, points: Float64) -> Float64:
+    """Raw pixels [N, 2] (OpenCV convention) of points [N, 3] m in the optical frame; far off the image behind it."""
+    if not len(points):
+        return np.zeros((0, 2))
+    return distort(camera, points[:, :2] / np.maximum(points[:, 2:], BEHIND_M))

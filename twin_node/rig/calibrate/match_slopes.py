@@ -8,8 +8,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.birds_eye import plane_hits
-from twin_node.rig.calibrate.lens import pixel_rays
-from twin_node.rig.calibrate.lenses import BEHIND_M, lens_of, project
+from twin_node.rig.calibrate.lenses import BEHIND_M, lens_of, pixel_rays, project
 from twin_node.rig.calibrate.matches import NOWHERE_M
 from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.scene import Float64, RigCamera

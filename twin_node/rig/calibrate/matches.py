@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.birds_eye import plane_hits
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.rig.calibrate.stills import Still
 from twin_node.scene import Bool, Float64, RigCamera
 

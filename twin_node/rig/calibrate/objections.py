@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.lenses import Lens, lens_of
+from twin_node.rig.calibrate.lenses import Lens, lens_of, raw_pixels
 from twin_node.rig.calibrate.mistakes import RATIOS, UNITS_M, Finding, Mistake
 from twin_node.rig.rig_checks import OUT_OF_SIGHT, TELLING_SPREAD, aims_off
 from twin_node.rig.workspace import axes_focus, axes_spread

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays
-from twin_node.rig.calibrate.lenses import lens_of, project
+from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.rig.calibrate.results import LEAST_DEPTH_M, metres_per_pixel, settled, sight_sigmas
 from twin_node.rig.calibrate.rotations import cross_matrix

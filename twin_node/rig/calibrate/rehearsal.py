@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose
+from twin_node.geometry import inverse_pose, looking_at, pose
 from twin_node.rig.calibrate.board_prints import BoardPrint, draw_board
 from twin_node.rig.calibrate.boards import CharucoBoard
 from twin_node.rig.calibrate.lenses import lens_of, rays_of
@@ -112,7 +112,7 @@ def _cameras() -> tuple[RigCamera, ...]:
     for name, side, height, offset in zip(("left", "middle", "right"), SIDES_DEG, HEIGHTS_M, OFFSETS_S, strict=True):
         angle = np.radians(side - 90)
         centre = _middle() + np.array([DISTANCE_M * np.cos(angle), DISTANCE_M * np.sin(angle), height])
-        T = pose(_looking(centre, _middle() + np.array([0, 0, 0.25])), centre)
+        T = looking_at(centre, _middle() + np.array([0, 0, 0.25]))
         cameras.append(
             RigCamera(name, WIDTH, HEIGHT, K, T, "plumb_bob", np.array(DISTORTION), 0.0, round(offset * 1e9))
         )
@@ -122,14 +122,6 @@ def _cameras() -> tuple[RigCamera, ...]:
 def _middle() -> Float64:
     """[3] the middle of the board at rest, in the base, whose y runs against the board's rows."""
     return np.asarray(BOARD.points.mean(axis=0) * [1.0, -1.0, 1.0])
-
-
-def _looking(centre: Float64, target: Float64) -> Float64:
-    """[3, 3] axes (x right, y down, z forward) of an upright camera at `centre` that looks at `target`."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
 def _course(second: float) -> Float64:

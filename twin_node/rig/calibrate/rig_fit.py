@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.lens import raw_pixels
-from twin_node.rig.calibrate.lenses import Lens, lens_of, project
+from twin_node.rig.calibrate.lenses import Lens, lens_of, project, raw_pixels
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.rig_start import set_stamps, simultaneous
 from twin_node.rig.calibrate.rotations import cross_matrix, turning

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lens import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, FrameSet, Rig, RigCamera, View
 from twin_node.thinning import thinned
