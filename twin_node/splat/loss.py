@@ -46,7 +46,6 @@ def image_loss(
     target: Tensor,  # [..., H, W, 3]
     *,
     weights: Tensor | None = None,  # [..., H, W]
-    depth: Tensor | None = None,  # [..., H, W] or [..., H, W, 1]
     target_depth: Tensor | None = None,  # [..., H, W] or [..., H, W, 1]
     l1: float = 0.8,
     ssim: float = 0.2,
@@ -57,12 +56,12 @@ def image_loss(
     Each term is the mean over all pixels (and channels) of all images, weighted by `weights` where given (at least 0;
     a bool mask will do). Pixels of weight 0 count as equal to their target where the SSIM's window reaches over them,
     send back no gradient, and cost nothing outside the box that the others span. Depth counts where `target_depth` is
-    positive (0 is unknown). The rendered depth is the fourth channel of `render` (as `rasterize` gives it with
-    `RGB+ED`; this saves a copy), or `depth`. Colours 0 to 1; SSIM after Wang et al. 2004, 11x11 window, zero padding.
+    positive (0 is unknown). The rendered depth is the fourth channel of `render`, as `rasterize` gives it with
+    `RGB+ED`. Colours 0 to 1; SSIM after Wang et al. 2004, 11x11 window, zero padding.
 
     Raises `ValueError` naming an argument of wrong shape, dtype or device, or one that is not finite.
     """
-    call = _check(render, target, weights, depth, target_depth, l1, ssim, depth_weight)
+    call = _check(render, target, weights, target_depth, l1, ssim, depth_weight)
     library = native.kernels_for(call.render.device)
     if library is None or call.render.dtype != torch.float32:
         return _reference(call)
@@ -75,21 +74,19 @@ def image_loss_reference(
     target: Tensor,
     *,
     weights: Tensor | None = None,
-    depth: Tensor | None = None,
     target_depth: Tensor | None = None,
     l1: float = 0.8,
     ssim: float = 0.2,
     depth_weight: float = 0.0,
 ) -> Tensor:
     """`image_loss` in plain torch, float32 or float64, on any device: the reference of the tests."""
-    return _reference(_check(render, target, weights, depth, target_depth, l1, ssim, depth_weight))
+    return _reference(_check(render, target, weights, target_depth, l1, ssim, depth_weight))
 
 
 def _check(
     render: Tensor,
     target: Tensor,
     weights: Tensor | None,
-    depth: Tensor | None,
     target_depth: Tensor | None,
     l1: float,
     ssim: float,
@@ -102,15 +99,13 @@ def _check(
     pixels = tuple(render.shape[:-1])
     if weights is not None and weights.dtype == torch.bool:
         weights = weights.to(render.dtype)
-    if depth is not None:
-        if render.shape[-1] == 4:
-            raise ValueError("depth: expected None, as the render's fourth channel is the depth already")
-        render = torch.cat([render, _depth_map("depth", depth, render).unsqueeze(-1)], dim=-1)
     _check_like("target", target, (*pixels, 3), render)
     if weights is not None:
         _check_like("weights", weights, pixels, render)
     if target_depth is not None:
-        target_depth = _depth_map("target_depth", target_depth, render)
+        if tuple(target_depth.shape) == (*pixels, 1):
+            target_depth = target_depth.squeeze(-1)
+        _check_like("target_depth", target_depth, pixels, render)
     if depth_weight > 0 and (target_depth is None or render.shape[-1] != 4):
         raise ValueError("depth_weight: expected 0 without a rendered depth and a target_depth")
     for name, value in (("l1", l1), ("ssim", ssim), ("depth_weight", depth_weight)):
@@ -125,14 +120,6 @@ def _check(
         ssim=ssim,
         depth_weight=depth_weight,
     )
-
-
-def _depth_map(name: str, depth: Tensor, render: Tensor) -> Tensor:
-    pixels = tuple(render.shape[:-1])
-    if tuple(depth.shape) == (*pixels, 1):
-        depth = depth.squeeze(-1)
-    _check_like(name, depth, pixels, render)
-    return depth
 
 
 def _check_like(name: str, tensor: Tensor, shape: tuple[int, ...], render: Tensor) -> None:
