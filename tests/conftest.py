@@ -1,4 +1,4 @@
-"""What tests of several rooms share: short logs of the simulated cell, and where the real recordings are."""
+"""What tests of several rooms share: short logs of the simulated cell, refused commands, and the real recordings."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hypothesis import settings
 
 from twin_node.cell import load_scenario, write_log
 from twin_node.cell.scenario import Fault
+from twin_node.cli import main
 
 # In CI the same examples every time: a new one belongs to whoever searches, not to a merge. No test asserts a time.
 settings.register_profile("twin_node", derandomize=bool(os.environ.get("CI")), deadline=None)
@@ -43,6 +44,21 @@ def cell_log(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         return path
 
     return make
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """`refused(*arguments)`: the one error of a command that ends with status 2 and leaves `tmp_path` as it was."""
+
+    def run(*arguments: object) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        assert main([*map(str, arguments)]) == 2
+        assert sorted(tmp_path.rglob("*")) == before
+        lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
+        assert len(lines) == 1
+        return lines[0]
+
+    return run
 
 
 @pytest.fixture

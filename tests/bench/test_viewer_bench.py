@@ -40,9 +40,8 @@ def test_every_visitor_sees_what_moves() -> None:
         (["-p", "twin.width:=64"], "expected with --latency"),
     ],
 )
-def test_what_would_be_ignored_is_refused(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "viewer", *arguments]) == 2
-    assert says in capsys.readouterr().err
+def test_what_would_be_ignored_is_refused(arguments: list[str], says: str, refused: Callable[..., str]) -> None:
+    assert says in refused("bench", "viewer", *arguments)
 
 
 def test_a_log_that_no_twin_has_written_is_told_before_anything_is_measured(

@@ -27,32 +27,22 @@ cameras:
 
 
 @pytest.fixture
-def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """`refused(arguments...)` replays into `tmp_path`, expects to be refused, and returns the one line."""
-
-    def run(*arguments: object) -> str:
-        before = sorted(tmp_path.rglob("*"))
-        out, report = tmp_path / "out.mcap", tmp_path / "report"
-        status = main(["replay", *map(str, arguments), "-o", str(out), "--report", str(report), "--width", "80"])
-        assert status == 2
-        assert sorted(tmp_path.rglob("*")) == before
-        lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
-        assert len(lines) == 1
-        return lines[0]
-
-    return run
+def unplayed(refused: Callable[..., str], tmp_path: Path) -> Callable[..., str]:
+    """`unplayed(arguments...)`: the error of a replay into `tmp_path` that is refused."""
+    outputs = ("-o", tmp_path / "out.mcap", "--report", tmp_path / "report", "--width", "80")
+    return lambda *arguments: refused("replay", *arguments, *outputs)
 
 
-def test_rig_file_of_another_rig(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+def test_rig_file_of_another_rig(unplayed: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(RIG.format(name="cam_elsewhere"))
-    line = refused(cell_log(0.5), "--rig", rig, "--lockstep")
+    line = unplayed(cell_log(0.5), "--rig", rig, "--lockstep")
     assert "no images of camera 'cam_elsewhere'" in line
     assert "cam_front" in line
 
 
 def test_commands_that_advise_a_remap_take_one(
-    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    cell_log: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     log, rig = str(cell_log(0.5)), str(tmp_path / "rig.yaml")
     Path(rig).write_text(RIG.format(name="elsewhere"))
@@ -63,41 +53,41 @@ def test_commands_that_advise_a_remap_take_one(
         ["render", log, *of_rig, "-o", f"{rig}.mp4"],
         ["view", log, *of_rig],
     ):
-        assert main(command) == 2
-        assert "--remap the topic to /<camera>/image_raw" in capfd.readouterr().err
-        assert main([*command, "--remap", "/nowhere:=/elsewhere/image_raw"]) == 2
-        assert "no topic /nowhere" in capfd.readouterr().err
+        assert "--remap the topic to /<camera>/image_raw" in refused(*command)
+        assert "no topic /nowhere" in refused(*command, "--remap", "/nowhere:=/elsewhere/image_raw")
 
 
 @pytest.mark.parametrize("frame", ["cam_front_optical_frame", "tool0", "base"])
 def test_rig_file_that_is_not_tied_to_the_robot(
-    refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, frame: str
+    unplayed: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, frame: str
 ) -> None:
     """As a launch refuses it: the arm would be judged as if it stood in the camera, or half a turn away."""
     rig = tmp_path / "rig.yaml"
     rig.write_text(f"frame: {frame}\n" + RIG.format(name="cam_front"))
-    line = refused(cell_log(0.5), "--rig", rig, "--lockstep")
+    line = unplayed(cell_log(0.5), "--rig", rig, "--lockstep")
     assert "expected cameras' poses in" in line
     assert f"found them in '{frame}'" in line
     assert ("negate the first two rows" if frame == "base" else "hand-eye") in line
 
 
-def test_rig_file_that_is_none(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+def test_rig_file_that_is_none(unplayed: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text("cameras: 3\n")
-    assert "rig.yaml" in refused(cell_log(0.5), "--rig", rig)
+    assert "rig.yaml" in unplayed(cell_log(0.5), "--rig", rig)
 
 
 @pytest.mark.parametrize("pace", [["--lockstep"], ["--rate", "4"]])
-def test_stamps_that_run_backwards(refused: Callable[..., str], cell_log: Callable[..., Path], pace: list[str]) -> None:
-    line = refused(cell_log(0.4, Fault("unsorted_stamps", "cam_left")), *pace)
+def test_stamps_that_run_backwards(
+    unplayed: Callable[..., str], cell_log: Callable[..., Path], pace: list[str]
+) -> None:
+    line = unplayed(cell_log(0.4, Fault("unsorted_stamps", "cam_left")), *pace)
     assert "camera 'cam_left'" in line
     assert "run backwards" in line
 
 
-def test_log_without_images(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+def test_log_without_images(unplayed: Callable[..., str], cell_log: Callable[..., Path]) -> None:
     cameras = ("cam_front", "cam_left", "cam_back")
-    line = refused(cell_log(0.4, *(Fault("missing", camera) for camera in cameras)), "--lockstep")
+    line = unplayed(cell_log(0.4, *(Fault("missing", camera) for camera in cameras)), "--lockstep")
     assert "no image topic" in line
 
 
@@ -105,32 +95,32 @@ def test_log_without_images(refused: Callable[..., str], cell_log: Callable[...,
     ("content", "said"),
     [(None, "nowhere.mcap"), (b"", "empty file"), (b"not a log at all", "found a file that begins")],
 )
-def test_a_file_that_is_no_log(refused: Callable[..., str], tmp_path: Path, content: bytes | None, said: str) -> None:
+def test_a_file_that_is_no_log(unplayed: Callable[..., str], tmp_path: Path, content: bytes | None, said: str) -> None:
     path = tmp_path / "nowhere.mcap"
     if content is not None:
         path.write_bytes(content)
-    assert said in refused(path)
+    assert said in unplayed(path)
 
 
-def test_a_remap_of_a_topic_that_is_not_there(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
-    assert "has no topic /nothing" in refused(cell_log(0.5), "--remap", "/nothing:=/cam/image_raw")
+def test_a_remap_of_a_topic_that_is_not_there(unplayed: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    assert "has no topic /nothing" in unplayed(cell_log(0.5), "--remap", "/nothing:=/cam/image_raw")
 
 
-def test_a_remap_to_a_name_that_another_topic_has(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+def test_a_remap_to_a_name_that_another_topic_has(unplayed: Callable[..., str], cell_log: Callable[..., Path]) -> None:
     """One of the two would be left out, and nobody told which."""
     left, front = "/cam_left/image_raw/compressed", "/cam_front/image_raw/compressed"
-    line = refused(cell_log(0.5), "--remap", f"{left}:={front}")
+    line = unplayed(cell_log(0.5), "--remap", f"{left}:={front}")
     assert f"as {front}, found {front} and {left}; rename one of them" in line
 
 
-def test_a_start_past_the_end(refused: Callable[..., str], cell_log: Callable[..., Path]) -> None:
-    assert "--start-offset 9 s is past its end" in refused(cell_log(0.5), "--start-offset", "9")
+def test_a_start_past_the_end(unplayed: Callable[..., str], cell_log: Callable[..., Path]) -> None:
+    assert "--start-offset 9 s is past its end" in unplayed(cell_log(0.5), "--start-offset", "9")
 
 
-def test_an_unknown_parameter(refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
+def test_an_unknown_parameter(unplayed: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path) -> None:
     file = tmp_path / "p.yaml"
     file.write_text("synchronizer: {ros__parameters: {widht: 80}}\n")
-    assert "did you mean 'width'?" in refused(cell_log(0.5), "--params", file)
+    assert "did you mean 'width'?" in unplayed(cell_log(0.5), "--params", file)
 
 
 def test_the_log_is_never_its_own_output(
@@ -155,11 +145,10 @@ def test_numbers_that_make_no_sense(option: str, value: str, capfd: pytest.Captu
     assert f"{value}: expected" in capfd.readouterr().err
 
 
-def test_a_recording_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_is_never_written_over(tmp_path: Path, refused: Callable[..., str]) -> None:
     there = tmp_path / "run.mcap"
     there.write_bytes(b"a recording")
-    assert main(["record", "-o", str(there)]) == 2
-    assert "run.mcap: exists already" in capfd.readouterr().err
+    assert "run.mcap: exists already" in refused("record", "-o", there)
     assert there.read_bytes() == b"a recording"
 
 
@@ -187,19 +176,17 @@ def test_a_calibration_that_has_no_place_is_refused_before_it_is_made(
     assert "expected the name of a file in a folder that exists" in capfd.readouterr().err
 
 
-def test_a_demo_that_has_no_place(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_that_has_no_place(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "file").touch()
-    assert main(["demo", "--out", str(tmp_path / "file")]) == 2
-    assert f"--out {tmp_path / 'file'}: cannot be made" in capfd.readouterr().err
+    assert f"--out {tmp_path / 'file'}: cannot be made" in refused("demo", "--out", tmp_path / "file")
 
 
-def test_a_picture_below_a_file(
-    cell_log: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_below_a_file(cell_log: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "file").touch()
     for name in ("picture.png", "film.mp4"):
-        assert main(["render", str(cell_log(0.5)), "--view", "orbit", "-o", str(tmp_path / "file" / name)]) == 2
-        assert "expected the name of a file in a folder that exists" in capfd.readouterr().err
+        assert "expected the name of a file in a folder that exists" in refused(
+            "render", cell_log(0.5), "--view", "orbit", "-o", tmp_path / "file" / name
+        )
 
 
 @pytest.mark.parametrize("option", ["--start-offset", "--duration"])
@@ -225,11 +212,11 @@ def test_times_beyond_all_logs(option: str, cell_log: Callable[..., Path]) -> No
     ],
 )
 def test_rates_and_times_that_make_no_sense(
-    refused: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, values: str
+    unplayed: Callable[..., str], cell_log: Callable[..., Path], tmp_path: Path, values: str
 ) -> None:
     file = tmp_path / "p.yaml"
     file.write_text(f"synchronizer: {{ros__parameters: {{{values}}}}}\n")
-    assert f"synchronizer: {values.partition(':')[0]}: expected" in refused(cell_log(0.5), "--params", file)
+    assert f"synchronizer: {values.partition(':')[0]}: expected" in unplayed(cell_log(0.5), "--params", file)
 
 
 def test_who_reads_what_is_printed_may_go(cell_log: Callable[..., Path]) -> None:
@@ -261,9 +248,8 @@ def test_a_full_disk_that_takes_no_more_output_is_named() -> None:
 
 
 def test_a_report_where_the_log_goes_is_refused_before_the_run(
-    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cell_log: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     out = str(tmp_path / "run")
-    assert main(["replay", str(cell_log(0.5)), "-o", out, "--report", out]) == 2
-    assert "expected another place than that of -o" in capsys.readouterr().err
+    assert "expected another place than that of -o" in refused("replay", cell_log(0.5), "-o", out, "--report", out)
     assert not list(tmp_path.iterdir())

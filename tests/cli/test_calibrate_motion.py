@@ -81,6 +81,7 @@ def test_refine_times_the_clocks_too(
     assert "clocks are left as they are" in captured.err and "clocks" not in json.loads(captured.out)
 
 
-def test_time_says_what_is_missing(cell_log: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", "time", str(cell_log(1.2)), "--duration", "0.3"]) == 2
-    assert "expected at least 20 images to time its motion by, found" in capsys.readouterr().err
+def test_time_says_what_is_missing(cell_log: Callable[..., Path], refused: Callable[..., str]) -> None:
+    assert "expected at least 20 images to time its motion by, found" in refused(
+        "calibrate", "time", cell_log(1.2), "--duration", "0.3"
+    )

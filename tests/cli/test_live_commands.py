@@ -257,8 +257,7 @@ def test_a_driver_says_whole_reasons_once() -> None:
 
 
 def test_a_player_that_nobody_could_let_go_on_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert main(["play", str(small_log(tmp_path / "log.mcap")), "--start-paused"]) == 2
-    assert "--start-paused: expected a terminal" in capsys.readouterr().err
+    assert "--start-paused: expected a terminal" in refused("play", small_log(tmp_path / "log.mcap"), "--start-paused")

@@ -16,19 +16,6 @@ from twin_node.model.sequence import Baked, SequenceModel, Trainer, bake_model, 
 from twin_node.scene import Camera
 
 
-@pytest.fixture
-def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """`refused(arguments...)` expects status 2 and returns the one line."""
-
-    def run(*arguments: object) -> str:
-        assert main([*map(str, arguments)]) == 2
-        lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("twin_node: error: ")]
-        assert len(lines) == 1
-        return lines[0]
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def checkpoint(cell_log: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("trained") / "model.safetensors"

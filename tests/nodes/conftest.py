@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 from twin_logs import write_twin_log
 
-from twin_node.cli import main
-
 
 @pytest.fixture(scope="session")
 def twin_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -20,14 +18,7 @@ def twin_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """`refused(*arguments)`: what a command says that ends with status 2 and leaves the folder it runs in as it was."""
-
-    def run(*arguments: object) -> str:
-        monkeypatch.chdir(tmp_path)
-        before = sorted(tmp_path.iterdir())
-        assert main([str(argument) for argument in arguments]) == 2
-        assert sorted(tmp_path.iterdir()) == before
-        return capsys.readouterr().err
-
-    return run
+def refused(refused: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """As everywhere; the command runs in `tmp_path`."""
+    monkeypatch.chdir(tmp_path)
+    return refused

@@ -3,6 +3,7 @@
 import contextlib
 import re
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ import pytest
 from mcap.writer import Writer
 
 from twin_node.bag import LogWriter, open_log
-from twin_node.cli import main
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.messages.convert.camera import optical_frame
 from twin_node.nodes.log_check import check_log
@@ -95,15 +95,12 @@ def rig_of(path: Path) -> Path:
     return path
 
 
-def test_depth_of_another_lens_is_refused_unless_it_is_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_depth_of_another_lens_is_refused_unless_it_is_left_out(tmp_path: Path, refused: Callable[..., str]) -> None:
     log, rig = foreign_log(tmp_path / "log.mcap", 48.0), rig_of(tmp_path / "rig.yaml")
     with pytest.raises(GraphError, match=r"fx of 0.75 widths for 1.00\); record aligned depth") as caught:
         LogSession(log, rig)
     remap = str(caught.value).split("--remap ")[1]
-    assert main(["replay", str(log), "--rig", str(rig), "--duration", "1", "--report", str(tmp_path / "report")]) == 2
-    assert remap in capsys.readouterr().err
+    assert remap in refused("replay", log, "--rig", rig, "--duration", "1", "--report", tmp_path / "report")
     with LogSession(log, rig, dict([remap.split(":=")])) as session:
         assert session.cameras[0].depth is None
 

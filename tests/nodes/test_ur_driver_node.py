@@ -177,13 +177,12 @@ def test_a_recording_of_an_arm_that_never_was_there_is_not_kept(tmp_path: Path) 
 
 
 def test_an_earlier_recording_of_an_arm_is_never_written_over(
-    stand_in: StandInProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stand_in: StandInProcess, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     out = tmp_path / "arm.mcap"
     out.write_bytes(b"a shift")
     arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "-o", str(out), "--duration", "0.1"]
-    assert main(arguments) == 2
-    assert f"-o {out}: exists already" in capsys.readouterr().err
+    assert f"-o {out}: exists already" in refused(*arguments)
     assert out.read_bytes() == b"a shift"
     assert list(tmp_path.iterdir()) == [out]
 
@@ -207,14 +206,15 @@ def test_what_cannot_be_driven_is_one_line_and_status_2(
     assert error.count("\n") == 1
 
 
-def test_a_log_without_decisions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_decisions_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     log = tmp_path / "joints.mcap"
     with LogWriter(log) as writer:
         model = ur_model("ur5e")
         path = JointPath(model.joint_names, np.array([START_NS]), np.zeros((1, 6)))
         writer.write(TRAJECTORY, convert.joint_path_to_message(path), START_NS)
-    assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", "--decisions", str(log)]) == 2
-    assert "expected a log with /twin/separation" in capsys.readouterr().err
+    assert "expected a log with /twin/separation" in refused(
+        "ur-driver", "--robot", free_loopback(), "--no-reconnect", "--decisions", log
+    )
 
 
 def test_diagnostics_go_on_when_the_computers_clock_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import re
 import socket
 import threading
 import urllib.request
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,6 @@ import pytest
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
 from twin_node.bench.visitors import free_port
-from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.snapshot import Snapshot
@@ -212,7 +212,6 @@ def test_an_address_of_ipv6_is_one(twin_log: Path) -> None:
         made.close()
 
 
-def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_one_line(twin_log: Path, page: CellPage, refused: Callable[..., str]) -> None:
     port = page.url.rpartition(":")[2]
-    assert main(["view", str(twin_log), "--port", port]) == 2
-    assert "give another port or host (--port, --host" in capsys.readouterr().err
+    assert "give another port or host (--port, --host" in refused("view", twin_log, "--port", port)

@@ -231,11 +231,10 @@ def test_bytes_that_are_no_rtde_cost_only_their_own_connection(stand_in: StandIn
     eventually(lambda: receive.getTimestamp() > told)
 
 
-def test_a_taken_address_is_named(stand_in: StandInProcess, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_taken_address_is_named(stand_in: StandInProcess, refused: Callable[..., str]) -> None:
     with pytest.raises(CellError, match="is taken"):
         StandInProcess(StandInParameters(host=stand_in.host))
-    assert main(["ur-sim", "--host", stand_in.host]) == 2
-    assert "choose another loopback address" in capsys.readouterr().err
+    assert "choose another loopback address" in refused("ur-sim", "--host", stand_in.host)
 
 
 def test_the_command_says_where_it_is_and_ends_when_told() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -109,10 +110,9 @@ def test_an_edited_model_is_not_trained_on(checkpoint: Checkpoint, tmp_path: Pat
     ],
 )
 def test_what_cannot_be_edited_is_named(
-    arguments: list[str], says: str, checkpoint: Checkpoint, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], says: str, checkpoint: Checkpoint, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     out = tmp_path / "out.safetensors"
     far = ["--box", *["50", "50", "50", "51", "51", "51"]]
-    assert main(["edit", str(checkpoint.path), "-o", str(out), *far, *arguments]) == 2
-    assert says in capsys.readouterr().err
+    assert says in refused("edit", checkpoint.path, "-o", out, *far, *arguments)
     assert not out.exists()

@@ -350,10 +350,9 @@ def test_files_of_a_session_that_cannot_be_are_refused(tmp_path: Path, file: str
                 read_stops(tmp_path)
 
 
-def test_pictures_of_another_size_than_the_lens_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures_of_another_size_than_the_lens_are_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     a_session(tmp_path, stops=5)
     camera = RigCamera("left", 2 * LENS.width, 2 * LENS.height, LENS.K * [[2.0], [2.0], [1.0]], np.eye(4))
     save_rig(RigFile(Rig((camera,))), tmp_path / "rig.yaml")
     board = ["--board", "charuco:6x5:0.03:0.022", "--mount", "target", "--rig", str(tmp_path / "rig.yaml")]
-    assert main(["calibrate", "hand-eye", str(tmp_path), *board]) == 2
-    assert "stop0.png: expected a picture of 1280x960" in capsys.readouterr().err
+    assert "stop0.png: expected a picture of 1280x960" in refused("calibrate", "hand-eye", tmp_path, *board)
