@@ -15,7 +15,6 @@ from typing import TextIO
 
 from twin_node import __version__
 from twin_node.cli.ending import Terminated, ended_in_order
-from twin_node.cli.output import warn
 from twin_node.cli.parser import Parser, with_home
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError, TwinWarning
@@ -80,6 +79,8 @@ def _warnings_in_words() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         if issubclass(category, TwinWarning):
+            from twin_node.cli.output import warn
+
             warn(message)
         else:
             told(message, category, filename, lineno, file, line)
