@@ -17,6 +17,12 @@ from twin_node.bag.repair import repair
 from twin_node.messages import message_type
 
 
+def record_in_parts(path: Path) -> None:
+    """30 messages in several files."""
+    with RecordingWriter(path, SplitParameters(max_duration_s=1.0)) as writer:
+        fill(writer, 30)
+
+
 def split_and_die(path: Path) -> None:
     recording.FLUSH_S = 3600.0  # on a busy machine those 12 messages take longer than the usual
     fill(RecordingWriter(path, SplitParameters(max_duration_s=1.0)), 12)
@@ -45,8 +51,7 @@ def test_a_recorder_that_is_killed_before_its_new_file_has_a_message_leaves_all_
 
 def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_numbered_files(tmp_path: Path) -> None:
     """As rosbag2 leaves it after `kill -9`."""
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
+    record_in_parts(tmp_path / "run")
     (tmp_path / "run" / "metadata.yaml").unlink()
     with pytest.raises(BagError, match=r"no metadata.yaml in this folder, its recording was not finished; write it"):
         open_log(tmp_path / "run")
@@ -60,8 +65,7 @@ def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_number
 @pytest.mark.parametrize("metadata", [b"", b"rosbag2_bagfile_information: {", b"\0" * 500])
 def test_a_bag_whose_metadata_a_power_cut_has_taken_is_repaired(tmp_path: Path, metadata: bytes) -> None:
     """An empty file, or one of zeros, is what some file systems leave of what was written last."""
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
+    record_in_parts(tmp_path / "run")
     (tmp_path / "run" / "metadata.yaml").write_bytes(metadata)
     with pytest.raises(
         BagError, match=r"not the metadata .*; write it whole with 'twin_node check .*/run --repair OUT'"
@@ -73,8 +77,7 @@ def test_a_bag_whose_metadata_a_power_cut_has_taken_is_repaired(tmp_path: Path, 
 
 
 def test_what_is_there_of_a_bag_is_written_whole(tmp_path: Path) -> None:
-    with RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0)) as writer:
-        fill(writer, 30)
+    record_in_parts(tmp_path / "run")
     (tmp_path / "run" / "run_1.mcap").unlink()
     with pytest.raises(BagError, match=r"not there: run_1.mcap; copy the whole bag, or write what is there with"):
         open_log(tmp_path / "run")

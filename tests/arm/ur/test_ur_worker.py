@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from multiprocessing.connection import Connection
+from typing import Any
 
 import pytest
 
@@ -45,8 +46,8 @@ def pipes() -> tuple[Connection, Connection]:
     return multiprocessing.Pipe()
 
 
-def looped(driver: PlayedDriver, pipe: Connection) -> bool:
-    return worker._loop(PARAMETERS, driver, pipe)  # type: ignore[arg-type]
+def looped(driver: Any, pipe: Connection) -> bool:
+    return worker._loop(PARAMETERS, driver, pipe)
 
 
 @pytest.mark.parametrize("orders", [(LeavePath(), Acknowledge()), (Acknowledge(), LeavePath())])
@@ -93,13 +94,13 @@ def test_a_stop_is_told_at_once_and_all_else_now_and_then() -> None:
 
 @pytest.mark.parametrize("brakes", [0, 5])
 def test_an_arm_that_is_servoed_is_braked_before_its_driver_ends(brakes: int) -> None:
-    driver = PlayedDriver(brakes)
-    worker._stop(PARAMETERS, driver)  # type: ignore[arg-type]
+    driver: Any = PlayedDriver(brakes)
+    worker._stop(PARAMETERS, driver)
     assert (driver.stopped, driver.brakes) == (["the driver ends"], 0)
 
 
 def test_an_arm_that_never_stands_is_not_braked_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker, "BRAKING_S", 0.02)
-    driver = PlayedDriver(1_000_000)
-    worker._stop(PARAMETERS, driver)  # type: ignore[arg-type]
+    driver: Any = PlayedDriver(1_000_000)
+    worker._stop(PARAMETERS, driver)
     assert driver.is_braking

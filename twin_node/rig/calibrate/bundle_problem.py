@@ -98,12 +98,13 @@ class BundleProblem:
         cameras, moves = len(start.lenses), start.course.moves
         self._sheet = sheet_shapes(start.points) if options.board is BoardFreedom.SHEET else None
         """[3 P, n] m; None where no corner moves, or each by itself."""
+        each = 3 * len(start.points) if options.board is BoardFreedom.BENT else 0
         self.layout = Layout(
             cameras,
             tuple(len(lens.parameters) for lens in start.lenses) if options.lenses else (),
             options.clocks and moves and cameras > 1,
             options.readouts and moves,
-            self._shapes(options.board),
+            each if self._sheet is None else int(self._sheet.shape[1]),
         )
         self._columns = self._outer_columns(max(self.layout.lens_sizes, default=0))
         places = self.seen & (self.camera == np.arange(cameras)[:, None])[..., None]
@@ -117,11 +118,6 @@ class BundleProblem:
         """How a board is moved: at first; from the second round on what was measured."""
         self._step = corner_step(start.points)
         self._tolerance = BOARD_TOLERANCE * self._step
-
-    def _shapes(self, board: BoardFreedom) -> int:
-        """Numbers of the board's shape that are free."""
-        each = 3 * len(self._start.points) if board is BoardFreedom.BENT else 0
-        return each if self._sheet is None else int(self._sheet.shape[1])
 
     def measure_board(self, state: BundleState) -> None:
         """Sets what the board's corners may be off by to what they are off by."""

@@ -1,0 +1,92 @@
+"""What cameras without depth do not see past: what stands, and what another one measures to move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, pixels_of, state_of
+from numpy.typing import NDArray
+
+from twin_node.forecast.carving import Carver, Opaque
+from twin_node.forecast.tables import RigTables
+from twin_node.scene import Camera, Float64, FrameSet
+
+CENTER = np.array([0.1, -0.05, 0.45])
+
+
+def beyond(cam: Camera, center: Float64) -> NDArray[np.int64]:
+    """Flat index [1] of the voxel 0.3 m behind a place, as a camera sees it."""
+    away = center - cam.T_base_cam[:3, 3]
+    return GRID.indices((center + 0.3 * away / np.linalg.norm(away))[None])
+
+
+def block_at(center: Float64) -> NDArray[np.int64]:
+    """Flat indices [n] of a block of voxels."""
+    return np.flatnonzero(np.abs(GRID.centers(np.arange(GRID.size)) - center).max(axis=1) < 0.1)
+
+
+def test_a_camera_without_depth_frees_its_rays_up_to_what_is_known_to_stand() -> None:
+    wall = np.flatnonzero(np.abs(GRID.centers(np.arange(GRID.size)) - [0.0, 0.0, 0.45]).max(axis=1) < 0.1)
+    carver, state = Carver(RigTables(GRID)), state_of(0, None, cameras=RIG[:1])
+    away = RIG[0].T_base_cam[:3, 3] - [0.0, 0.0, 0.45]
+    step = 0.3 * away / np.linalg.norm(away)
+    before, behind = (GRID.indices(np.array([[0.0, 0.0, 0.45]]) + way) for way in (step, -step))
+    assert not carver.carve(state, 0.0).unknown.holds(np.concatenate([before, behind])).any()
+    unknown = carver.carve(state, 0.0, Opaque(wall)).unknown
+    assert not unknown.holds(before).any() and unknown.holds(behind).all()
+    assert carver.carve(state, 0.0).unknown.holds(behind).all(), "as for the state before"
+    assert not carver.carve(state, 0.0, Opaque(wall[:0])).unknown.holds(behind).any()
+    assert not carver.carve(state, 0.0, Opaque(wall, 0.5)).unknown.holds(behind).any(), "it may lie behind that"
+
+
+def test_a_camera_without_depth_does_not_see_past_what_another_measures_to_move() -> None:
+    """It has taken somebody who keeps still for ground."""
+    measured, flat = (state_of(0, CENTER, cameras=(one,), with_depth=one is RIG[0]) for one in RIG[:2])
+    frames = FrameSet(0, (*measured.frames.views, *flat.frames.views))
+    nothing = np.zeros((HEIGHT, WIDTH), np.bool_)
+    state = replace(measured, frames=frames, moving_masks=(*measured.moving_masks, nothing), robot_masks=(None, None))
+    alone, both = (
+        Carver(RigTables(GRID)).carve(measured, 0.0).may_move.indices(),
+        Carver(RigTables(GRID)).carve(state, 0.0).may_move.indices(),
+    )
+    front = alone[np.linalg.norm(GRID.centers(alone) - RIG[0].T_base_cam[:3, 3], axis=1) < 2.01]
+    assert len(front) > 20
+    assert np.isin(front, both).mean() > 0.9
+
+
+def test_a_camera_whose_depth_image_is_lost_does_not_see_past_what_stands_before_the_grid() -> None:
+    """A screen between the camera and the workspace: no voxel stands there."""
+    state = state_of(0, None, cameras=RIG[:1], with_depth=True)
+    (view,) = state.frames.views
+    assert view.depth is not None
+    screen = np.where(np.arange(WIDTH) < WIDTH // 2, np.float32(0.5), view.depth)
+    carver = Carver(RigTables(GRID))
+    carver.carve(replace(state, frames=replace(state.frames, views=(replace(view, depth=screen),))), 0.0)
+    unknown = carver.carve(state_of(33_000_000, None, cameras=RIG[:1]), 0.0).unknown.mask()
+    centers = GRID.centers(np.arange(GRID.size))
+    pixel = pixels_of(view.camera, centers)
+    assert unknown[(pixel >= 0) & (pixel % WIDTH < WIDTH // 2)].all()
+    assert not unknown[(pixel >= 0) & (pixel % WIDTH >= WIDTH // 2) & (centers[:, 2] > 0.1)].any()
+
+
+def test_a_camera_without_depth_sees_past_neither_what_stands_nor_what_is_measured_to_move() -> None:
+    ball, stands, bare = (np.array([x, 0.1, 0.45]) for x in (0.3, -0.3, 0.0))
+    measured, flat = state_of(0, ball, 0.1, RIG[:1], with_depth=True), state_of(0, None, cameras=RIG[1:2])
+    (view,), (mask,) = measured.frames.views, measured.moving_masks
+    assert view.depth is not None
+    only_ball = replace(view, depth=np.where(mask, view.depth, 0).astype(np.float32))
+    frames, masks = FrameSet(0, (only_ball, *flat.frames.views)), (mask, *flat.moving_masks)
+    state = replace(measured, frames=frames, moving_masks=masks, robot_masks=(None, None))
+    carved = Carver(RigTables(GRID)).carve(state, 0.0, Opaque(block_at(stands)))
+    held = np.concatenate([carved.may_move.indices(), carved.unknown.indices()])
+    assert np.isin([beyond(RIG[1], ball), beyond(RIG[1], stands)], held).all()
+    assert not np.isin(beyond(RIG[1], bare), held).any()
+
+
+def test_what_stands_hides_other_space_from_a_camera_that_was_moved() -> None:
+    carver, stands = Carver(RigTables(GRID)), np.array([0.1, -0.25, 0.45])
+    opaque = Opaque(block_at(stands))
+    for cam in (RIG[0], replace(RIG[1], name=RIG[0].name)):
+        unknown = carver.carve(state_of(0, None, cameras=(cam,)), 0.0, opaque).unknown
+        assert unknown.holds(beyond(cam, stands)).all()
