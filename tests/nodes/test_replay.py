@@ -157,6 +157,8 @@ def test_the_page_stands_alone_and_shows_pictures(lockstep: Path) -> None:
     page = (lockstep / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 8
     assert "://" not in page  # no address: base64 may hold any letters, but no colon
+    assert json.loads((lockstep / "report.json").read_text())["forecast"]["iou"] is None
+    assert "<th>moving volume</th>" in page and "<th>IoU</th>" not in page  # no column of dashes
 
 
 def test_real_time_counts_what_it_drops(cell_log: Callable[..., Path], tmp_path: Path) -> None:

@@ -114,6 +114,7 @@ def _page(
         forecasts=[_forecast(foreseen, start) for foreseen in foresight.examples],
         truth=foresight.truth,
         methods=_methods(foresight),
+        has_overlap=any(score.iou is not None for score in foresight.methods.values()),
         curves=_curves(run, foresight, start),
         quality=_quality_rows(figures["quality"]),
     )
@@ -158,7 +159,7 @@ def _cards(figures: Mapping[str, Any]) -> list[dict[str, str]]:
             f"{_number(figures['latency_ms']['p50'])} / {_number(figures['latency_ms']['p99'])} ms",
         ),
         ("PSNR on moving pixels", _number(quality["psnr_moving_db"], "{:.1f} dB")),
-        ("recall 200 ms ahead", _number(forecast["recall"], "{:.1%}")),
+        ("recall 200 ms ahead", _number(forecast["recall"], "{:.2%}")),
         ("Gaussians that move, of all", f"{moving} / {sum(figures['tiers'].values())}"),
         (f"smallest distance to {_whose(arm['is_made_up'])} arm", _number(arm["min_distance_m"], "{:.2f} m")),
         ("lowest speed fraction", _number(arm["min_speed_fraction"], "{:.0%}")),
@@ -191,8 +192,8 @@ def _methods(foresight: Foresight) -> list[dict[str, Any]]:
         {
             "name": name.replace("_", " "),
             "ours": name == OURS,
-            "recall": _number(score.recall, "{:.1%}"),
-            "recall_new": _number(score.recall_new, "{:.1%}"),
+            "recall": _number(score.recall, "{:.2%}"),
+            "recall_new": _number(score.recall_new, "{:.2%}"),
             "volume": _number(score.moving_volume_l, "{:.1f} l"),
             "iou": _number(score.iou, "{:.2f}"),
         }
