@@ -101,3 +101,16 @@ def test_what_is_measured_beside_a_thin_thing_that_is_not_frees_nothing_there(is
         assert free[arm] == pytest.approx(1.47 if is_measured else 0)
         assert (free[~arm] > 1.9).all()
         assert bool(sight.flags[8 * 30 + 12] & MOVING)
+
+
+def test_an_edge_that_is_measured_here_and_there_is_no_thin_thing() -> None:
+    """Somebody has passed before a table's edge, half of whose pixels lack depth: what they left was held for 0.2 s."""
+    camera = replace(RIG[0], width=30, height=20)
+    passed, behind = np.zeros((20, 30), bool), np.full((20, 30), 2, np.float32)
+    passed[2:18, 8:20] = True
+    lacking = np.zeros((20, 30), bool)
+    lacking[2:18:2, 13], lacking[3:18:2, 14] = True, True
+    view = View(camera, 0, np.zeros((20, 30, 3), np.uint8), np.where(lacking, np.float32(0), behind))
+    look = Look(CameraTable(camera, BLOCKS), view, passed, None, behind, 0.7)
+    for sight in (*sights_of([look], CarvingParameters()), sight_reference(look, CarvingParameters())):
+        assert (sight.free_until[:-1] > 1.9).all()

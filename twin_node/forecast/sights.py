@@ -28,7 +28,8 @@ _SPECK = 4
 _MEASURED_WITHIN = 2
 """Pixels; an unmeasured one that moves is a hole in what is measured so near, else of a thing that is not measured."""
 LEAST_BLANK = 12
-"""Pixels of the smallest such thing; fewer are ground that is bare again and that an image happens not to measure."""
+"""Pixels of the smallest such thing. Fewer, or what is nowhere two pixels wide, are ground that is bare again and that
+an image happens not to measure: edges of what stands lack depth here and there."""
 _RADII = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 48.0)
 """Radii in pixels that widths in the image are told apart by."""
 
@@ -174,7 +175,16 @@ def _blank(view: View, moving: Bool, blind: Bool, found: Bool) -> Bool:
     """
     assert view.depth is not None
     near = cv2.dilate(found.astype(np.uint8), np.ones((2 * _MEASURED_WITHIN + 1,) * 2, np.uint8)) > 0
-    return _without_specks(moving & ~blind & (view.depth == 0) & ~near, LEAST_BLANK)
+    return _without_specks(_in_squares(moving & ~blind & (view.depth == 0) & ~near), LEAST_BLANK)
+
+
+def _in_squares(mask: Bool) -> Bool:
+    """What of a mask [H, W] lies in squares of two by two of its pixels."""
+    squares = mask[:-1, :-1] & mask[1:, :-1] & mask[:-1, 1:] & mask[1:, 1:]
+    kept = np.zeros_like(mask)
+    for rows, columns in itertools.product((slice(None, -1), slice(1, None)), repeat=2):
+        kept[rows, columns] |= squares
+    return kept
 
 
 def _surface(

@@ -70,13 +70,29 @@ class Look {
   }
 
   // What moves and is measured neither there nor around: dark, or too thin. What is measured beside it is what stands
-  // behind, and must free nothing there. Specks are ground that is bare again and that an image happens not to measure.
+  // behind, and must free nothing there. What is nowhere two pixels wide, and specks, are ground that is bare again and
+  // that an image happens not to measure: edges of what stands lack depth here and there.
   std::vector<uint8_t> unmeasured(const std::vector<uint8_t> &found) const {
     std::vector<uint8_t> near = found, blank(size_);
     spread_over<Greatest>(near, v_.width, v_.height, Patch::square(r_.measured_within), uint8_t{0});
     for (size_t i = 0; i < size_; i++) blank[i] = moving_[i] & (blind_[i] ^ 1) & (v_.depth[i] == 0.0f) & (near[i] ^ 1);
+    blank = in_squares(blank);
     clear_specks(blank, v_.width, v_.height, r_.least_blank);
     return blank;
+  }
+
+  // What of a mask lies in squares of two by two of its pixels.
+  std::vector<uint8_t> in_squares(const std::vector<uint8_t> &mask) const {
+    std::vector<uint8_t> kept(size_);
+    for (int32_t y = 0; y + 1 < v_.height; y++) {
+      const uint8_t *row = mask.data() + static_cast<size_t>(y) * v_.width, *next = row + v_.width;
+      uint8_t *to = kept.data() + static_cast<size_t>(y) * v_.width, *below = to + v_.width;
+      for (int32_t x = 0; x + 1 < v_.width; x++) {
+        const uint8_t square = row[x] & row[x + 1] & next[x] & next[x + 1];
+        to[x] |= square, to[x + 1] |= square, below[x] |= square, below[x + 1] |= square;
+      }
+    }
+    return kept;
   }
 
   void write_free_until(const std::vector<uint8_t> &blank) const {
