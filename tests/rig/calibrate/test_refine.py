@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.cell import CellSource, load_scenario
 from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig import RigError, Undistorter, load_rig
+from twin_node.rig.calibrate import depth_alignment
 from twin_node.rig.calibrate.birds_eye import Sheet, plane_hits
 from twin_node.rig.calibrate.ground_matches import DISTINCT_PX, agreed_map, measured
 from twin_node.rig.calibrate.lenses import raw_pixels
@@ -85,6 +86,19 @@ def test_cameras_that_measure_depth_find_back_to_each_other(cell: tuple[Rig, tup
     assert epipolar_error(result.rig, truth, points) < 0.7
     assert len(result.surfaces) == 3
     assert all(pair.after_m < min(0.003, pair.before_m) for pair in result.surfaces)
+
+
+def test_floors_that_fit_while_what_stands_on_them_does_not_are_refused(
+    cell: tuple[Rig, tuple[Still, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rig 5 % too large, of a board of another size: one camera was left 13 cm off, with 9 mm stated."""
+    monkeypatch.setattr(depth_alignment, "STARTS", 1)
+    truth, stills = cell
+    first = truth.cameras[0].T_base_cam[:3, 3]
+    large = [pose(c.T_base_cam[:3, :3], first + 1.05 * (c.T_base_cam[:3, 3] - first)) for c in truth.cameras]
+    given = replace(truth, cameras=tuple(replace(c, T_base_cam=T) for c, T in zip(truth.cameras, large, strict=True)))
+    with pytest.raises(RigError, match=r"cam_left and cam_back: .* in the free sight of the second"):
+        refine_rig(given, tuple(replace(s, camera=c) for s, c in zip(stills, given.cameras, strict=True)), None)
 
 
 def over_a_roof(slope: float, rng: np.random.Generator) -> tuple[Rig, tuple[Still, ...]]:

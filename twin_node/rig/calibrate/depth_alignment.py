@@ -14,6 +14,7 @@ from itertools import combinations, permutations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project, raw_pixels
@@ -59,6 +60,11 @@ AROUND_PX = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.
 """[5, 2] where a pattern is read about a pixel: there, and to both sides for its slopes."""
 LEAST_SHARED = 100
 """Samples that two cameras must share to be held against each other."""
+THROUGH_M, THROUGH_SHARE = 0.05, 0.03
+"""How far before what a camera measures, and as a share of that, a sample of another stands in its free sight."""
+MOST_THROUGH = 0.05
+"""Share of samples in another camera's free sight: 0.001 where a rig is right, a tenth where floors lie on floors but
+all that stands on them was passed over."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +146,7 @@ def align(cameras: Sequence[RigCamera], surfaces: Sequence[Surface], turn: float
     covariance = np.asarray(np.linalg.inv(best.information + np.diag(weights)), np.float64)
     pairs = _pairs(cameras, surfaces, samples, best.poses, covariance)
     _check_told(cameras, pairs)
+    _check_sight(cameras, surfaces, samples, best.poses)
     strain = float(np.abs(best.changes * np.sqrt(weights)).max())
     if strain > MOST_STRAIN:
         raise RigError(
@@ -206,6 +213,16 @@ class _Match:
 
 
 @dataclass(frozen=True)
+class _InSight:
+    """Points before which, or behind which, a camera measures a surface."""
+
+    rows: NDArray[np.intp]
+    """[n] of the points."""
+    there: NDArray[np.int64]
+    """[n] the pixel, counted along the rows of the image, that each falls on."""
+
+
+@dataclass(frozen=True)
 class _Samples:
     """Points of one camera's surface that are laid onto the others'."""
 
@@ -237,12 +254,8 @@ def _match(
     own, other, camera = samples[a], surfaces[b], cameras[b]
     T_b_a = inverse_pose(poses[b]) @ poses[a]
     local = transform(T_b_a, own.points)
-    u, v = np.rint(raw_pixels(camera, local)).T
-    inside = (local[:, 2] > 0) & (u >= 1) & (u < camera.width - 1) & (v >= 1) & (v < camera.height - 1)
-    rows = np.flatnonzero(inside)
-    there = (v[rows] * camera.width + u[rows]).astype(np.int64)
-    known = other.known.ravel()[there]
-    rows, there = rows[known], there[known]
+    sight = _in_sight(camera, other, local)
+    rows, there = sight.rows, sight.there
     normals, surface = (field.reshape(-1, 3).take(there, axis=0) for field in (other.normals, other.points))
     gaps = np.einsum("ni,ni->n", local.take(rows, axis=0) - surface, normals)
     alike = np.einsum("ni,ni->n", own.normals.take(rows, axis=0) @ T_b_a[:3, :3].T, normals) > ALIKE
@@ -255,6 +268,16 @@ def _match(
     contrasts = seen[:, 0] - own.patterns[level][rows]
     places = transform(poses[a], own.points.take(rows, axis=0))
     return _Match(a, b, places, normals[kept] @ R.T, gaps[kept], slopes @ R.T, contrasts)
+
+
+def _in_sight(camera: RigCamera, surface: Surface, local: Float64) -> _InSight:
+    """Which of the points [N, 3] of a camera's optical frame fall where it knows a surface, and where that is."""
+    u, v = np.rint(raw_pixels(camera, local)).T
+    inside = (local[:, 2] > 0) & (u >= 1) & (u < camera.width - 1) & (v >= 1) & (v < camera.height - 1)
+    rows = np.flatnonzero(inside)
+    there = (v[rows] * camera.width + u[rows]).astype(np.int64)
+    known = surface.known.ravel()[there]
+    return _InSight(rows[known], there[known])
 
 
 def _sampled(image: Float32, pixels: Float64) -> Float64:
@@ -339,3 +362,20 @@ def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair]) -> N
             f"their motions to {1000 * MOST_OPEN_M:.0f} mm, found one that they leave open by "
             f"{1000 * worst.open_m:.0f} mm: put something with three different faces where both see it, or use a board"
         )
+
+
+def _check_sight(
+    cameras: Sequence[RigCamera], surfaces: Sequence[Surface], samples: Sequence[_Samples], poses: Float64
+) -> None:
+    """What one camera measures must not stand where another looks through: gaps beyond the gates count for no fit."""
+    for a, b in permutations(range(len(cameras)), 2):
+        local = transform(inverse_pose(poses[b]) @ poses[a], samples[a].points)
+        sight = _in_sight(cameras[b], surfaces[b], local)
+        depths = surfaces[b].points[..., 2].ravel()[sight.there]
+        through = local[sight.rows, 2] < depths * (1 - THROUGH_SHARE) - THROUGH_M
+        if len(through) >= LEAST_SHARED and (share := float(through.mean())) > MOST_THROUGH:
+            raise RigError(
+                f"refine: cameras {cameras[a].name} and {cameras[b].name}: expected surfaces that fit together, found "
+                f"{100 * share:.0f} % of what the first measures in the free sight of the second: are the poses given "
+                "right to a degree or two, and is the board's size? Else use a board"
+            )
