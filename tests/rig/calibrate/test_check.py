@@ -21,6 +21,7 @@ from twin_node.geometry import inverse_pose
 from twin_node.rig import RigFile, load_rig, save_rig
 from twin_node.rig.calibrate.check import check_against_recording, check_numbers
 from twin_node.rig.calibrate.mistakes import Mistake
+from twin_node.rig.calibrate.scales import size_by_depth
 from twin_node.robot import ur_model
 from twin_node.scene import FrameSet, Rig, RigCamera
 
@@ -174,6 +175,19 @@ def test_depth_and_the_arm_tell_what_images_alone_cannot() -> None:
         assert cause in str(finding)
     (finding,) = check_against_recording(feet, sets).findings
     assert "feet" in str(finding)
+
+
+def test_depth_tells_a_rig_that_a_board_of_another_size_has_made() -> None:
+    true, sets = recorded(1)
+    right = size_by_depth(true, sets)
+    assert right is not None
+    assert right.gain == 1
+    small = size_by_depth(everywhere(true, in_unit(0.9)), sets)
+    assert small is not None
+    assert small.factor == pytest.approx(1 / 0.9, abs=0.01)
+    (finding,) = check_against_recording(everywhere(true, in_unit(1.06)), sets).findings
+    assert finding.mistake is Mistake.SIZE
+    assert "6 % too large" in str(finding)
 
 
 @settings(max_examples=25)

@@ -18,7 +18,7 @@ from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.mistakes import Finding, Mistake, Undone, undone
 from twin_node.rig.calibrate.objections import Objections
 from twin_node.rig.calibrate.rig_fit import BoardViews, fit
-from twin_node.rig.calibrate.scales import ArmInSight, depth_agreement
+from twin_node.rig.calibrate.scales import ArmInSight, depth_agreement, size_by_depth
 from twin_node.rig.rig_checks import IN_SIGHT, aims_off
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, FrameSet, Rig
@@ -32,12 +32,15 @@ SETS_JUDGED = 12
 CLEARLY_BETTER, BETTER_OF_TWO, SURE_SIGMAS = 0.03, 0.2, 2.0
 """A mistake is named where undoing it explains the motion so much better, and by so many standard errors. A rig of two
 cameras has a single pair, in which outlines fit by chance more often."""
-SHOWN_IN_IMAGES = set(Mistake) - {Mistake.UNITS, Mistake.BASE}
-"""Mistakes that images can show. Scale and place they cannot; of those the numbers tell all but feet and `base`."""
+SHOWN_IN_IMAGES = set(Mistake) - {Mistake.UNITS, Mistake.BASE, Mistake.SIZE}
+"""Mistakes that images can show. Scale and place they cannot; of those the numbers tell units but feet."""
 EXPLAINED = 0.35
 """Agreement with the motion below which nothing is explained: real rigs reach 0.7, by chance it is 0."""
 DEPTH_AGREES = 0.25
 """Share of depths that agree between cameras of a rig in the right unit; hidden surfaces are the rest."""
+OTHER_SIZE, SIZE_GAIN = 0.04, 1.3
+"""Distances between cameras are objected to where depth wants them changed by this share, and so many times as many
+depths agree then: 1 % of noise wants 2 % and gains 1.06, cameras half a degree and a centimetre off 4 % and 1.26."""
 ARM_AGREES = 0.2
 """Agreement with the arm's motion of a rig that is right in the base."""
 
@@ -162,10 +165,24 @@ def _of_other_unit(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None) -> 
     """The unit that measured depth or the arm gives away, where it is not the metre; or the base that the arm does."""
     readings: list[Undone | None] = [None, *(m for m in undone(rig) if _kind(m) in (Mistake.UNITS, Mistake.BASE))]
     depths = [depth_agreement(rig if m is None else m.rig, sets) for m in readings]
-    if (found := _clear(readings, depths, DEPTH_AGREES)) is not None or arm is None:
+    found = _clear(readings, depths, DEPTH_AGREES) or _of_other_size(rig, sets)
+    if found is not None or arm is None:
         return found
     sight = ArmInSight(arm, rig, sets)
     return _clear(readings, [sight.agreement(rig if m is None else m.rig) for m in readings], ARM_AGREES)
+
+
+def _of_other_size(rig: Rig, sets: Sequence[FrameSet]) -> Finding | None:
+    """That measured depth wants the cameras nearer to each other, or farther apart."""
+    size = size_by_depth(rig, sets)
+    if size is None or abs(size.factor - 1) < OTHER_SIZE or size.gain < SIZE_GAIN:
+        return None
+    percent, too = 100 * abs(1 / size.factor - 1), "large" if size.factor < 1 else "small"
+    cause = (
+        f"distances between them seem to be {percent:.0f} % too {too} by the depth that they measure, of which "
+        f"{size.gain:.1f} times as much would agree: measure a square of the board, and calibrate with its size"
+    )
+    return Finding("", cause, Mistake.SIZE)
 
 
 def _clear(readings: Sequence[Undone | None], agreements: Sequence[float | None], good: float) -> Finding | None:

@@ -24,6 +24,7 @@ class Mistake(Enum):
     MIRRORED = "mirrored"
     RESOLUTION = "K of another resolution"
     BASE = "the controller's base"
+    SIZE = "a board of another size"
 
 
 @dataclass(frozen=True)

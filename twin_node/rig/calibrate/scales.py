@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import cv2
 import numpy as np
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.robot import ArmModel, robot_mask
-from twin_node.scene import Bool, Camera, FrameSet, Rig, RigCamera, View
+from twin_node.scene import Bool, Camera, Float64, FrameSet, Rig, RigCamera, View
 from twin_node.thinning import thinned
 
 MOST_SETS = 12
@@ -20,26 +21,72 @@ DEPTH_PIXELS, LEAST_DEPTHS = 400, 200
 """Pixels per view whose depth is looked up in another view, and how many must be found in all for a verdict."""
 DEPTH_TOLERANCE_M, DEPTH_SHARE = 0.02, 0.03
 """Depths agree within this and a share of their own: three sigma of stereo at arm's length."""
+SIZE_TOLERANCE_M, SIZE_SHARE = 0.01, 0.01
+"""The same where the best of many sizes is sought: noise costs all of them alike."""
+SIZES = np.linspace(0.8, 1.2, 41)
+"""What distances between cameras are multiplied by."""
 MOVING_LEVELS = 25
 """Difference from the median image, 8-bit levels in some channel, from which a pixel counts as moving."""
 
 
-def depth_agreement(rig: Rig, sets: Sequence[FrameSet]) -> float | None:
-    """Share of the points that one camera measures which another measures at the same place, 0 to 1.
+@dataclass(frozen=True)
+class Size:
+    """How large a rig is by the depth that its cameras measure."""
+
+    factor: float
+    """What distances between the cameras would have to be multiplied by for their depths to agree best."""
+    gain: float
+    """How many times as many depths agree then."""
+
+
+def size_by_depth(rig: Rig, sets: Sequence[FrameSet]) -> Size | None:
+    """The size at which most of what one camera measures is measured by another at the same place.
 
     `sets` of raw images of any size. None where too few are measured by two cameras to tell.
+    """
+    poses = np.stack([camera.T_base_cam for camera in rig.cameras])
+    middle, shares = poses[:, :3, 3].mean(axis=0), []
+    for factor in SIZES:
+        places = middle + factor * (poses[:, :3, 3] - middle)
+        cameras = [
+            replace(c, T_base_cam=pose(c.T_base_cam[:3, :3], t)) for c, t in zip(rig.cameras, places, strict=True)
+        ]
+        sized = replace(rig, cameras=tuple(cameras))
+        shares.append(depth_agreement(sized, sets, SIZE_TOLERANCE_M, SIZE_SHARE) or 0.0)
+    now, best = shares[int(np.abs(SIZES - 1).argmin())], int(np.argmax(shares))
+    return Size(float(SIZES[best]), shares[best] / now) if now > 0 else None
+
+
+def depth_agreement(
+    rig: Rig, sets: Sequence[FrameSet], tolerance_m: float = DEPTH_TOLERANCE_M, share: float = DEPTH_SHARE
+) -> float | None:
+    """Share of the points that one camera measures which another measures at the same place, 0 to 1.
+
+    The same is what lies within `tolerance_m` and a share of the depth. `sets` of raw images of any size. None where
+    too few are measured by two cameras to tell.
     """
     agreed = judged = 0
     cameras = {camera.name: camera for camera in rig.cameras}
     for frames in thinned(sets, MOST_SETS):
         for a, b in permutations([view for view in frames.views if view.depth is not None], 2):
-            near = _near(cameras[a.camera.name], a, cameras[b.camera.name], b)
-            agreed, judged = agreed + int(near.sum()), judged + len(near)
+            apart = _apart(cameras[a.camera.name], a, cameras[b.camera.name], b)
+            agreed += int((apart.gaps_m < tolerance_m + share * apart.measured_m).sum())
+            judged += len(apart.gaps_m)
     return agreed / judged if judged >= LEAST_DEPTHS else None
 
 
-def _near(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> Bool:
-    """[n] whether the points that a measures and that fall on measured pixels of b are at the depth measured there."""
+@dataclass(frozen=True)
+class _Apart:
+    """Points of one camera beside what another measures where they fall."""
+
+    gaps_m: Float64
+    """[n] along the other's axis."""
+    measured_m: Float64
+    """[n] depth there."""
+
+
+def _apart(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> _Apart:
+    """The points that a measures and that fall on measured pixels of b."""
     assert a.depth is not None
     assert b.depth is not None
     rows, columns = np.nonzero(a.depth > 0)
@@ -51,8 +98,8 @@ def _near(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> Bool:
     there = ((raw_pixels(camera_b, points) + 0.5) * (b.depth.shape[1] / camera_b.width)).astype(np.int64)
     inside = (points[:, 2] > 0) & (there >= 0).all(1) & (there < b.depth.shape[::-1]).all(1)
     measured = b.depth[there[inside, 1], there[inside, 0]]
-    off = np.abs(points[inside, 2] - measured)
-    return np.asarray((off < DEPTH_TOLERANCE_M + DEPTH_SHARE * measured)[measured > 0])
+    known = measured > 0
+    return _Apart(np.abs(points[inside, 2] - measured)[known], measured[known].astype(np.float64))
 
 
 class ArmInSight:
