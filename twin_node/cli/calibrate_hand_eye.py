@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from twin_node.cli.arguments import file_to_write
-from twin_node.cli.output import add_json
+from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 
 if TYPE_CHECKING:
     from twin_node.rig import RigFile
     from twin_node.rig.calibrate.boards import Board
     from twin_node.rig.calibrate.hand_eye import HandEyeResult
-    from twin_node.scene import RigCamera
+    from twin_node.scene import Float64, RigCamera
+
+OTHER_SIZE, SURE_SIGMAS = 0.015, 3.0
+"""A board is of another size than given where an arm measures it so much smaller or larger, and so sure: joints that
+are 0.2 degrees off make up to 1.1 %."""
 
 
 def add_hand_eye(kinds: Any) -> None:
@@ -38,19 +42,24 @@ def add_hand_eye(kinds: Any) -> None:
 
 
 def _hand_eye(options: argparse.Namespace) -> None:
+    from twin_node.rig import load_rig
     from twin_node.rig.calibrate.hand_eye import Mount, solve_hand_eye
     from twin_node.rig.calibrate.hand_eye_files import detect_target, read_stops
     from twin_node.rig.calibrate.hand_eye_fit import HandEyeParameters
     from twin_node.robot import arm_model
 
     stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
-    board, mount = _board(options), Mount(options.mount)
-    camera = _camera(options, stops[0].image)
+    board, mount, given = _board(options), Mount(options.mount), load_rig(options.rig) if options.rig else None
+    camera = _camera(options, given, stops[0].image)
     with tqdm(unit="picture", desc="board", disable=None) as bar:
         views = detect_target(stops, board, (camera.width, camera.height), bar.update)
-    together = _cameras_beside(options) if mount is Mount.TARGET else None
-    parameters = HandEyeParameters(not (options.fixed_intrinsics or together), not options.fixed_scale)
+    together = given if mount is Mount.TARGET and given is not None and len(given.rig.cameras) > 1 else None
+    parameters = HandEyeParameters(
+        not (options.fixed_intrinsics or together), not options.fixed_scale, _lens_sigmas(given, camera)
+    )
     result = solve_hand_eye(camera, board.points, views, mount, parameters, numbered=board.turns == 1)
+    if together is not None:
+        _check_size(result, board, together)
     if options.output:
         _save_hand_eye(result, options.output, together)
     if options.json:
@@ -61,7 +70,8 @@ def _hand_eye(options: argparse.Namespace) -> None:
     print(f"views: {len(views) - len(result.dropped)} used, dropped {', '.join(result.dropped) or 'none'}")
     if unseen := {stop.image.stem for stop in stops} - {view.name for view in views}:
         print(f"too little of the target in: {', '.join(sorted(unseen))}")
-    print(f"target: {100 * result.target_scale:.2f} % of the size given")
+    sigma = f" (+- {100 * result.scale_sigma:.2f} %)" if result.scale_sigma else ""
+    print(f"target: {100 * result.target_scale:.2f} % of the size given{sigma}")
     print(f"camera in the {carrier} (+- {1000 * result.sigma_m:.1f} mm):\n{result.T_carrier_camera.round(6)}")
     print(f"target in the {other}:\n{result.T_carrier_target.round(6)}")
 
@@ -75,13 +85,13 @@ def _board(options: argparse.Namespace) -> Board:
     return read_target(_folder(options.views))
 
 
-def _camera(options: argparse.Namespace, image: Path) -> RigCamera:
-    from twin_node.rig import RigError, load_rig
+def _camera(options: argparse.Namespace, given: RigFile | None, image: Path) -> RigCamera:
+    from twin_node.rig import RigError
     from twin_node.rig.calibrate.hand_eye_files import image_size, read_lens
 
-    if options.rig is None:
+    if given is None:
         return read_lens(_folder(options.views), image_size(image))
-    cameras = load_rig(options.rig).rig.cameras
+    cameras = given.rig.cameras
     names = ", ".join(camera.name for camera in cameras)
     wanted = [camera for camera in cameras if options.camera in (None, camera.name)]
     if len(wanted) != 1:
@@ -89,16 +99,38 @@ def _camera(options: argparse.Namespace, image: Path) -> RigCamera:
     return wanted[0]
 
 
+def _lens_sigmas(given: RigFile | None, camera: RigCamera) -> Float64 | None:
+    """What the rig file given says of how sure it is of a camera's lens, [4 + D]; None where it says nothing."""
+    if given is None or not given.evidence:
+        return None
+    known = given.evidence[[own.name for own in given.rig.cameras].index(camera.name)]
+    return None if known is None else known.lens_sigmas
+
+
+def _check_size(result: HandEyeResult, board: Board, together: RigFile) -> None:
+    """A rig that was calibrated with a board of another size than stated has all its distances as wrong.
+
+    Raises `RigError` where the arm's moves measure the board of the rig's calibration so; of another board, warns.
+    """
+    from twin_node.rig import RigError
+
+    off = abs(result.target_scale - 1)
+    if off < max(OTHER_SIZE, SURE_SIGMAS * result.scale_sigma):
+        return
+    found = (
+        f"the arm's moves measure the board ({board}) at {100 * result.target_scale:.1f} +- "
+        f"{100 * result.scale_sigma:.1f} % of the size given"
+    )
+    if together.board == str(board):
+        raise RigError(
+            f"hand-eye: {found}, with which the rig was calibrated: the distances between its cameras are as wrong; "
+            "measure a square, write its size, and run `calibrate rig` again"
+        )
+    warn(f"{found}: if the rig was calibrated with it, the distances between its cameras are as wrong")
+
+
 def _folder(views: Path) -> Path:
     return views if views.is_dir() else views.parent
-
-
-def _cameras_beside(options: argparse.Namespace) -> RigFile | None:
-    """The rig file given, where it has cameras that stand fixed beside the one that took the pictures."""
-    from twin_node.rig import load_rig
-
-    rig_file = load_rig(options.rig) if options.rig else None
-    return rig_file if rig_file is not None and len(rig_file.rig.cameras) > 1 else None
 
 
 def _save_hand_eye(result: HandEyeResult, path: Path, together: RigFile | None) -> None:
@@ -130,6 +162,7 @@ def _hand_eye_figures(result: HandEyeResult) -> dict[str, object]:
         "mean_reprojection_px": result.mean_px,
         "rms_px": result.rms_px,
         "target_scale": result.target_scale,
+        "target_scale_sigma": result.scale_sigma,
         "dropped": list(result.dropped),
         "cameras": {
             result.camera.name: {

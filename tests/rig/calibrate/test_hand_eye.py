@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 from simulated_boards import a_lens, picture
+from simulated_stops import CAMERA, FIXED, OBLONG, SQUARE, rigid, session
 
 from twin_node.cli import main
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import inverse_pose, pose
 from twin_node.rig import RigError, RigFile, load_rig, save_rig
 from twin_node.rig.calibrate.boards import CharucoBoard
 from twin_node.rig.calibrate.hand_eye import HandEyeView, Mount, solve_hand_eye
@@ -26,37 +27,6 @@ from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
 from twin_node.rig.calibrate.hand_eye_start import Stops, target_symmetries
 from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.scene import Float64, Rig, RigCamera
-
-CAMERA = RigCamera(
-    "wrist",
-    640,
-    480,
-    np.array([[600.0, 0, 322], [0, 601.0, 238], [0, 0, 1]]),
-    np.eye(4),
-    D=np.array([0.05, -0.1, 0.001, 0, 0]),
-)
-SQUARE = np.stack([*np.meshgrid(np.arange(7) * 0.02, np.arange(7) * 0.02), np.zeros((7, 7))], -1).reshape(-1, 3)
-OBLONG = np.stack([*np.meshgrid(np.arange(7) * 0.02, np.arange(5) * 0.02), np.zeros((5, 7))], -1).reshape(-1, 3)
-FIXED = HandEyeParameters(refine_intrinsics=False, refine_scale=False)
-
-
-def rigid(rng: np.random.Generator, turn: float, move: float) -> Float64:
-    return pose(Rotation.from_rotvec(rng.normal(0, turn, 3)).as_matrix(), rng.normal(0, move, 3))
-
-
-def session(
-    rng: np.random.Generator, target: Float64, mount: Mount, noise_px: float = 0.0, stops: int = 10
-) -> tuple[Float64, list[HandEyeView]]:
-    """The camera's true pose in what carries it, and stops that see the target about half a metre away."""
-    X, Y = rigid(rng, 0.8, 0.1), rigid(rng, 0.8, 0.3)
-    views = []
-    for i in range(stops):
-        facing = pose(Rotation.from_euler("x", np.pi).as_matrix(), np.array([-0.06, 0.06, 0.5]))
-        T_camera_target = facing @ rigid(rng, 0.25, 0.03)
-        G = X @ T_camera_target @ inverse_pose(Y)
-        pixels = raw_pixels(CAMERA, transform(T_camera_target, target)) + rng.normal(0, noise_px, (len(target), 2))
-        views.append(HandEyeView(f"stop {i}", inverse_pose(G) if mount is Mount.CAMERA else G, pixels))
-    return X, views
 
 
 @given(seed=st.integers(0, 10_000), mount=st.sampled_from(Mount))
@@ -83,37 +53,14 @@ def test_derivatives_are_those_of_the_residuals(
 ) -> None:
     rng = np.random.default_rng(0)
     _, views = session(rng, OBLONG, Mount.TARGET, noise_px=0.3, stops=4)
-    stops = Stops(np.stack([view.T_base_flange for view in views]), np.stack([view.pixels for view in views]))
+    carried, pixels = (np.stack([getattr(view, name) for view in views]) for name in ("T_base_flange", "pixels"))
+    stops = Stops(carried, pixels, np.zeros((0, len(views), 4, 4)))
     stops.pixels[1, :9] = np.nan
     camera = replace(CAMERA, distortion_model=model, D=np.array(D))
     fit = HandEyeFit(camera, OBLONG, stops, parameters)
     for x in (np.zeros(fit.size), rng.normal(0, 0.05, fit.size)):
         numeric = approx_fprime(x, fit.residuals, 1e-7)
         np.testing.assert_allclose(fit.jacobian(x), numeric, rtol=1e-3, atol=2e-3)
-
-
-def test_the_stated_error_covers_the_true_one() -> None:
-    ratios = []
-    for seed in range(8):
-        X, views = session(np.random.default_rng(seed), OBLONG, Mount.CAMERA, noise_px=0.3)
-        result = solve_hand_eye(CAMERA, OBLONG, views, Mount.CAMERA, FIXED)
-        ratios.append(np.linalg.norm(result.T_carrier_camera[:3, 3] - X[:3, 3]) / result.sigma_m)
-    assert max(ratios) < 4
-    assert np.median(ratios) > 0.2
-
-
-@pytest.mark.parametrize("mount", Mount)
-def test_the_stated_error_covers_what_an_imprecise_arm_does(mount: Mount) -> None:
-    """Half a millimetre and 0.05 degrees at each stop: corners of one view err together."""
-    ratios = []
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        X, views = session(rng, OBLONG, mount, noise_px=0.1)
-        shaky = [replace(view, T_base_flange=view.T_base_flange @ rigid(rng, 0.0009, 0.0005)) for view in views]
-        result = solve_hand_eye(CAMERA, OBLONG, shaky, mount, FIXED)
-        ratios.append(np.linalg.norm(result.T_carrier_camera[:3, 3] - X[:3, 3]) / result.sigma_m)
-    assert max(ratios) < 4
-    assert np.median(ratios) > 0.2
 
 
 @pytest.mark.parametrize("mount", Mount)
@@ -291,6 +238,26 @@ def test_a_rig_is_tied_to_the_robot_as_a_whole(tmp_path: Path, capsys: pytest.Ca
     assert np.linalg.norm(left.T_base_cam[:3, 3] - X[:3, 3]) < 0.003
     np.testing.assert_allclose(inverse_pose(left.T_base_cam) @ right.T_base_cam, beside, atol=1e-9)
     np.testing.assert_array_equal(left.K, LENS.K)
+
+
+@pytest.mark.parametrize("of_this_board", [True, False])
+def test_a_rig_of_a_board_that_the_arm_measures_otherwise_is_not_tied(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], of_this_board: bool
+) -> None:
+    """Its cameras stand as far too much apart as the board is too large on paper: 4 cm a metre here."""
+    a_session(tmp_path)
+    stated = CharucoBoard(6, 5, 0.0312, 0.02288)
+    cameras = tuple(
+        RigCamera(name, LENS.width, LENS.height, LENS.K, pose(np.eye(3), np.array([x, 0, 0])), LENS.model, LENS.D)
+        for name, x in (("left", 0.0), ("right", 0.5))
+    )
+    made_with = str(stated) if of_this_board else ""
+    save_rig(RigFile(Rig(cameras), frame="left_optical_frame", board=made_with), tmp_path / "rig.yaml")
+    board = ["--board", "charuco:6x5:0.0312:0.02288", "--mount", "target", "--rig", str(tmp_path / "rig.yaml")]
+    out = tmp_path / "tied.yaml"
+    status = main(["calibrate", "hand-eye", str(tmp_path), *board, "--camera", "left", "-o", str(out)])
+    assert "the arm's moves measure the board" in capsys.readouterr().err
+    assert (status, out.exists()) == ((2, False) if of_this_board else (0, True))
 
 
 def quaternion_rolled(T: Float64) -> Float64:

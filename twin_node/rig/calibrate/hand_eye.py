@@ -56,6 +56,8 @@ class HandEyeView:
     """[4, 4] maps flange coordinates to the robot's base."""
     pixels: Float64
     """[P, 2] raw pixels of the target's points in its order, OpenCV convention; NaN for those not seen."""
+    T_base_flange_off: Float64 | None = None
+    """[J, 4, 4] the pose were a joint of the arm off by 1 sigma, one after the other; None where no joints tell it."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class HandEyeResult:
     """[4, 4] pose of the target in the base (camera mounted) or in the flange (target mounted)."""
     target_scale: float
     """True size of the target as a share of the size given."""
+    scale_sigma: float
+    """1 sigma of `target_scale`; 0 where the size was taken as given."""
     covariance: Float64
     """[6, 6] of `T_carrier_camera`: rotation vector (rad), then translation (m)."""
     residuals: Float64
@@ -118,9 +122,8 @@ def solve_hand_eye(
     contradict each other.
     """
     parameters = parameters or HandEyeParameters()
-    G = [inverse_pose(v.T_base_flange) if mount is Mount.CAMERA else v.T_base_flange for v in views]
     _check(target, views)
-    stops = Stops(np.stack(G), np.stack([view.pixels for view in views]))
+    stops = _stops(views, mount)
     _check_places(stops)
     if not numbered:
         stops = numbered_alike(camera, target, stops)
@@ -138,12 +141,25 @@ def solve_hand_eye(
         X,
         solution.loop.Y,
         solution.scale,
+        solution.scale_sigma,
         solution.covariance,
         solution.errors,
         tuple(view.name for view, used in zip(views, kept, strict=True) if not used),
     )
     _check_fit(result, camera)
     return result
+
+
+def _stops(views: Sequence[HandEyeView], mount: Mount) -> Stops:
+    """What carries the target as seen from what carries the camera, and where."""
+    flanges = [
+        view.T_base_flange[None] if view.T_base_flange_off is None else [view.T_base_flange, *view.T_base_flange_off]
+        for view in views
+    ]
+    least = min(map(len, flanges))
+    G = np.stack([own[:least] for own in flanges], axis=1)  # [1 + J, N, 4, 4]
+    G = inverse_pose(G) if mount is Mount.CAMERA else G
+    return Stops(G[0], np.stack([view.pixels for view in views]), G[1:])
 
 
 def _errors(camera: RigCamera, target: Float64, stops: Stops, loop: Loop) -> Float64:

@@ -30,6 +30,10 @@ LIST_FILE, LENS_FILES, TARGET_FILE = "cal_data.yaml", ("camera_intr_calibrated.y
 """What a folder holds: the list, the intrinsics (the first that is there) and the target."""
 
 
+JOINT_SIGMA = np.radians(0.1)
+"""1 sigma of a joint of an arm whose links are taken as its maker draws them, not as its factory measured them."""
+
+
 @dataclass(frozen=True)
 class Stop:
     """One stop of the robot: a picture and where the flange was."""
@@ -37,6 +41,9 @@ class Stop:
     image: Path
     T_base_flange: Float64
     """[4, 4]."""
+    T_base_flange_off: Float64 | None = None
+    """[J, 4, 4] the same were a joint off by `JOINT_SIGMA`, one after the other; None where the file tells the pose.
+    Without the first and the last, which turn the whole base, or the flange, and so belong to what these are."""
 
 
 def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
@@ -49,6 +56,12 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
     if not isinstance(content, list) or not content:
         raise RigError(f"{file}: expected a list of {{image, pose}}, found {kind_of(content)}")
     return tuple(_stop(Fields(f"{file}[{i}]", entry), file.parent, arm) for i, entry in enumerate(content))
+
+
+def stop_of_joints(image: Path, arm: ArmModel, joints: Float64) -> Stop:
+    """The stop at joint angles [J], rad."""
+    off = joints + JOINT_SIGMA * np.eye(arm.joints)[1:-1]
+    return Stop(image, *(forward_kinematics(arm, angles)[..., -1, :, :] for angles in (joints, off)))
 
 
 def detect_target(
@@ -73,7 +86,7 @@ def detect_target(
         if found is not None and usable(board, found):
             pixels = np.full((len(board.points), 2), np.nan)
             pixels[found.ids] = found.pixels
-            views.append(HandEyeView(stop.image.stem, stop.T_base_flange, pixels))
+            views.append(HandEyeView(stop.image.stem, stop.T_base_flange, pixels, stop.T_base_flange_off))
     return tuple(views)
 
 
@@ -117,7 +130,7 @@ def _stop(fields: Fields, folder: Path, arm: ArmModel | None) -> Stop:
     if fields.has("joints"):
         if arm is None:
             raise RigError(f"{fields.where}.joints: expected the arm to be known; give --arm (ur5e, ...)")
-        return Stop(image, forward_kinematics(arm, fields.array("joints", (arm.joints,)))[-1])
+        return stop_of_joints(image, arm, fields.array("joints", (arm.joints,)))
     if fields.is_table("pose"):
         return Stop(image, _pose(fields.table("pose")))
     file = folder / fields.text("pose")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,9 @@ class HandEyeParameters:
     """Free the focal lengths, the principal point and the distortion coefficients."""
     refine_scale: bool = True
     """Free the size of the target: the robot's own moves are the better ruler."""
+    lens_sigmas: Float64 | None = None
+    """[4 + D] 1 sigma of fx, fy, cx, cy (pixels) and the coefficients of a lens that is not refined, as its calibration
+    states them; None: it is right. Of the coefficients, which err together, nothing is made."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class HandEyeSolution:
     """True size of the target as a share of the size given."""
     covariance: Float64
     """[6, 6] of the camera's pose: rotation vector (rad), then translation (m)."""
+    scale_sigma: float
+    """1 sigma of `scale`; 0 where it was taken as it is."""
     errors: Float64
     """[N, P] reprojection error of every point, pixels; NaN for points not seen."""
 
@@ -54,7 +60,7 @@ class HandEyeFit:
     """Both poses, and the lens and the target's size where asked for, from a closed form's solution on."""
 
     def __init__(self, camera: RigCamera, target: Float64, stops: Stops, parameters: HandEyeParameters) -> None:
-        self._camera, self._target, self._stops = camera, target, stops
+        self._camera, self._target, self._stops, self._parameters = camera, target, stops, parameters
         self._start = closed_form(camera, target, stops)
         lens = [FOCAL_SIGMA * camera.K[0, 0]] * 2 + [CENTRE_SIGMA_PX] * 2 + [DISTORTION_SIGMA] * len(camera.D)
         self._sigmas = np.array([SCALE_SIGMA, *lens])
@@ -76,9 +82,17 @@ class HandEyeFit:
         )
         rows = 2 * self._stops.pixels.shape[1]
         covariance = _covariance(np.asarray(solved.jac), np.asarray(solved.fun), self._stops.places, rows)
+        shared = self._by_what_stops_share(solved.x)
+        covariance += shared @ shared.T
         distances = np.linalg.norm(self._offsets(solved.x), axis=2)
+        scale_sigma = float(np.sqrt(covariance[POSES, POSES])) if self._free[0] else 0.0
         return HandEyeSolution(
-            self._lens(solved.x), self._loop(solved.x), self._scale(solved.x), covariance[:6, :6], distances
+            self._lens(solved.x),
+            self._loop(solved.x),
+            self._scale(solved.x),
+            covariance[:6, :6],
+            scale_sigma,
+            distances,
         )
 
     def residuals(self, x: Float64) -> Float64:
@@ -111,6 +125,33 @@ class HandEyeFit:
 
     def _offsets(self, x: Float64) -> Float64:
         return offsets(self._lens(x), self._target * self._scale(x), self._stops, self._loop(x))
+
+    def _by_what_stops_share(self, x: Float64) -> Float64:
+        """[size, k] what the solution is off by where the lens, or a joint of the arm, is off by 1 sigma at all stops.
+
+        No spread of the stops tells of that.
+        """
+        seen, target, loop = self._offsets(x), self._target * self._scale(x), self._loop(x)
+        off = [offsets(lens, target, self._stops, loop) - seen for lens in self._lenses_off(x)]
+        for carried in self._stops.carried_off:
+            off.append(offsets(self._lens(x), target, replace(self._stops, carried=carried), loop) - seen)
+        if not off:
+            return np.zeros((self.size, 0))
+        J, residuals = self.jacobian(x), self.residuals(x)
+        weighted = J / np.sqrt(1 + residuals**2)[:, None]  # soft L1
+        by_doubt = np.nan_to_num(np.stack([change.ravel() for change in off], axis=1)) / ROBUST_PX
+        return np.asarray(np.linalg.pinv(weighted.T @ J) @ (weighted[: len(by_doubt)].T @ by_doubt))
+
+    def _lenses_off(self, x: Float64) -> Iterator[RigCamera]:
+        """The lens with its focal lengths, which err together, and each coordinate of its centre off by 1 sigma."""
+        sigmas = self._parameters.lens_sigmas
+        if self._parameters.refine_intrinsics or sigmas is None:
+            return
+        lens = self._lens(x)
+        for rows, columns, change in (([0, 1], [0, 1], sigmas[:2]), (0, 2, sigmas[2]), (1, 2, sigmas[3])):
+            K = lens.K.copy()
+            K[rows, columns] += change
+            yield replace(lens, K=K)
 
     def _changes(self, x: Float64) -> Float64:
         out = np.zeros(len(self._sigmas))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,10 +43,12 @@ class Stops:
     """[N, 4, 4] the known G: what carries the target as seen from what carries the camera."""
     pixels: Float64
     """[N, P, 2] raw pixels of the target's points, OpenCV convention; NaN for those not seen."""
+    carried_off: Float64
+    """[J, N, 4, 4] G were a joint of the arm off by 1 sigma, one after the other; J = 0 where no joints tell it."""
 
     def chosen(self, rows: Bool) -> Stops:
         """The stops under this mask [N]."""
-        return Stops(self.carried[rows], self.pixels[rows])
+        return Stops(self.carried[rows], self.pixels[rows], self.carried_off[:, rows])
 
     @property
     def places(self) -> NDArray[np.int64]:
@@ -93,12 +95,13 @@ def numbered_alike(camera: RigCamera, target: Float64, stops: Stops) -> Stops:
         if len(rows) < 3:
             break
         poses = candidates[rows, off.argmin(1)[rows]]
-        loop = closed_form(camera, target, Stops(stops.carried[rows], _reordered(camera, target, stops, poses, rows)))
+        pixels = _reordered(camera, target, stops, poses, rows)
+        loop = closed_form(camera, target, Stops(stops.carried[rows], pixels, stops.carried_off[:, rows]))
         expected = inverse_pose(loop.X) @ stops.carried @ loop.Y
         off = _angles(expected[:, None, :3, :3].swapaxes(2, 3) @ candidates[..., :3, :3])
         rows = np.arange(len(off))
     rows = np.arange(len(off))
-    return Stops(stops.carried, _reordered(camera, target, stops, candidates[rows, off.argmin(1)], rows))
+    return replace(stops, pixels=_reordered(camera, target, stops, candidates[rows, off.argmin(1)], rows))
 
 
 def target_symmetries(target: Float64) -> Float64:
