@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, reason
 
 
 def partial_of(path: Path) -> Path:
@@ -28,6 +28,11 @@ def taken(path: Path) -> str:
     )
 
 
+def unwritable(path: Path, problem: Exception) -> str:
+    """The error of who cannot write a file or folder, and why."""
+    return f"{path}: cannot be written ({reason(problem)}); free space or choose another place"
+
+
 def refuse_taken(path: Path, error: type[TwinError]) -> None:
     """Raises `error` where `path` could not be written for a NAME.partial, before the work that it is to keep."""
     if is_taken(path):
@@ -38,16 +43,20 @@ def refuse_taken(path: Path, error: type[TwinError]) -> None:
 def whole_file(path: Path, error: type[TwinError]) -> Iterator[Path]:
     """The path to write to; the file gets its name at the end, or nothing is left of it.
 
-    Raises `error` where NAME.partial is there already, and `OSError` where no file can be.
+    Raises `error` where NAME.partial is there already, and for any `OSError` meanwhile: it cannot be written.
     """
     partial = partial_of(path)
     try:
         partial.open("xb").close()
     except FileExistsError:
         raise error(taken(path)) from None
+    except OSError as problem:
+        raise error(unwritable(path, problem)) from None
     try:
         yield partial
         partial.replace(path)
+    except OSError as problem:
+        raise error(unwritable(path, problem)) from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)

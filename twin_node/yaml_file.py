@@ -49,11 +49,8 @@ def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
     Raises `error` where it cannot be written.
     """
     text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
-    try:
-        with whole_file(path, error) as partial:
-            partial.write_text(text, encoding="utf-8")
-    except OSError as problem:
-        raise error(f"{path}: cannot be written ({problem.strerror}); give a file in a folder that exists") from None
+    with whole_file(path, error) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 class _Loader(yaml.SafeLoader):

@@ -65,7 +65,7 @@ def test_figures_that_cannot_be_written_are_told_nevertheless(
         (out / name).mkdir(parents=True)
         assert main(["bench", "pareto", "--quick", "--out", str(out)]) == 2
         said = capsys.readouterr()
-        assert f"cannot write {name} (Is a directory)" in said.err and said.out.strip()
+        assert f"{name}: cannot be written (Is a directory)" in said.err and said.out.strip()
 
 
 def test_a_size_that_is_measured_cannot_repeat_itself_to_the_byte(

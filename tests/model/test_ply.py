@@ -181,5 +181,5 @@ def test_damaged_headers_never_escape_as_other_errors(tmp_path: Path, data: st.D
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="cannot write"):
+    with pytest.raises(ModelError, match="cannot be written"):
         write_ply(stored(1, 0), tmp_path / "missing" / "cloud.ply")

@@ -19,7 +19,7 @@ from twin_node.bag.log_times import check_log_time
 from twin_node.bag.mcap_records import library_of
 from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
-from twin_node.unfinished import partial_of, taken
+from twin_node.unfinished import partial_of, taken, unwritable
 
 IDL_BEGIN = "=" * 80 + "\nIDL: "
 """Of a definition in ROS 2's IDL: one section for each type, under a line that names it."""
@@ -178,7 +178,7 @@ class LogWriter:
             self.abort()
 
     def _refused(self, error: OSError) -> BagError:
-        return BagError(f"{self.path}: cannot be written ({error.strerror}); free space or choose another place")
+        return BagError(unwritable(self.path, error))
 
 
 def _open_sink(path: Path, compression: CompressionType, recorded: bool) -> _Sink:

@@ -27,7 +27,7 @@ def prepared(folder: Path) -> Path:
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise _unwritable(folder, "into it", error) from error
+        raise BenchError(f"--out {folder}: cannot write into it ({error.strerror}); choose another folder") from error
     return folder
 
 
@@ -35,11 +35,8 @@ def save_chart(figure: Figure, folder: Path, name: str) -> Path:
     """Writes a chart as NAME.png and NAME.svg; gives the former's path. Raises `BenchError` where it cannot."""
     path = prepared(folder) / f"{name}.png"
     for wanted in (path, path.with_suffix(".svg")):
-        try:
-            with whole_file(wanted, BenchError) as partial:
-                figure.savefig(partial, format=wanted.suffix[1:], dpi=100)
-        except OSError as error:
-            raise _unwritable(folder, wanted.name, error) from error
+        with whole_file(wanted, BenchError) as partial:
+            figure.savefig(partial, format=wanted.suffix[1:], dpi=100)
     return path
 
 
@@ -51,17 +48,10 @@ def save_figures(folder: Path, name: str, figures: Mapping[str, object], markdow
 
 def save_text(folder: Path, name: str, text: str) -> None:
     """Writes a file of this name. Raises `BenchError` where it cannot."""
-    try:
-        with whole_file(folder / name, BenchError) as partial:
-            partial.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise _unwritable(folder, name, error) from error
+    with whole_file(folder / name, BenchError) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Lines of a table in Markdown."""
     return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ("---",) * len(heads), *rows))
-
-
-def _unwritable(folder: Path, what: str, error: OSError) -> BenchError:
-    return BenchError(f"--out {folder}: cannot write {what} ({error.strerror}); choose another folder")

@@ -97,13 +97,8 @@ def ply_bytes(gaussians: StoredGaussians) -> bytes:
 
 def write_ply(gaussians: StoredGaussians, path: Path) -> None:
     """Writes binary PLY, see `ply_bytes`, whole or not at all. Raises `ModelError` where it cannot be written."""
-    try:
-        with whole_file(path, ModelError) as partial:
-            partial.write_bytes(ply_bytes(gaussians))
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot write Gaussians ({error.strerror}); free space or choose another place"
-        ) from None
+    with whole_file(path, ModelError) as partial:
+        partial.write_bytes(ply_bytes(gaussians))
 
 
 def read_ply(path: Path) -> StoredGaussians:

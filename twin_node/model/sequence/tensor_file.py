@@ -12,10 +12,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Camera
-from twin_node.unfinished import whole_file
+from twin_node.unfinished import unwritable, whole_file
 
 SUFFIX = ".safetensors"
 """What the names of checkpoints and baked models end in."""
@@ -30,9 +29,8 @@ def write_tensors(tensors: Mapping[str, Tensor], metadata: dict[str, str], path:
                 {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}, partial, metadata
             )
             partial.chmod(mode)  # safetensors lets nobody else read what it writes
-    except (OSError, SafetensorError) as error:
-        why = reason(error)
-        raise ModelError(f"{path}: cannot be written ({why}); choose a folder that exists, with room") from None
+    except SafetensorError as error:
+        raise ModelError(unwritable(path, error)) from None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from twin_node.nodes.export.tables import write_tables
 from twin_node.nodes.export.usd import write_stage
 from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
 from twin_node.robot import ArmModel
-from twin_node.unfinished import partial_of, refuse_taken
+from twin_node.unfinished import partial_of, refuse_taken, unwritable
 
 Write = Callable[[Moments, Path], None]
 
@@ -123,7 +123,7 @@ def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
     try:
         folder.mkdir()
     except OSError as error:
-        raise _refused(output, error) from None
+        raise ExportError(f"-o {unwritable(output, error)}") from None
     try:
         yield folder / output.name
         places = {made: output.with_name(made.name) for made in folder.iterdir()}
@@ -133,13 +133,9 @@ def _whole(output: Path, is_folder: bool) -> Iterator[Path]:
         for made, place in places.items():
             made.replace(place)
     except OSError as error:
-        raise _refused(output, error) from None
+        raise ExportError(f"-o {unwritable(output, error)}") from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _refused(output: Path, error: OSError) -> ExportError:
-    return ExportError(f"-o {output}: cannot be written ({error.strerror}); free space or choose another place")
 
 
 FORMATS: Mapping[str, Format] = {

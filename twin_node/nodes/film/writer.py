@@ -51,8 +51,6 @@ def write_film(pictures: Iterable[UInt8], rate_hz: float, path: Path) -> int:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
                 count += 1
             container.mux(stream.encode())
-    except OSError as error:
-        raise _refused(path, error) from None
     except FFmpegError as error:
         raise FilmError(
             f"-o {path}: expected pictures that H.264 takes, found {size} ({error.strerror}); give a smaller --width, "
@@ -69,15 +67,8 @@ def write_picture(picture: UInt8, path: Path) -> None:
         raise FilmError(
             f"-o {path}: expected a picture that {path.suffix} can hold, found {size}; give a smaller --width"
         )
-    try:
-        with whole_file(path, FilmError) as partial:
-            partial.write_bytes(data.tobytes())
-    except OSError as error:
-        raise _refused(path, error) from None
-
-
-def _refused(path: Path, error: OSError) -> FilmError:
-    return FilmError(f"-o {path}: cannot be written ({error.strerror}); free space or choose another place")
+    with whole_file(path, FilmError) as partial:
+        partial.write_bytes(data.tobytes())
 
 
 def _even(picture: UInt8) -> UInt8:

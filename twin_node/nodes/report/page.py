@@ -23,7 +23,7 @@ from twin_node.nodes.report import pictures
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import OURS, ForecastExample, Foresight, score_forecasts
 from twin_node.nodes.report.quality import Renderings, clouds_against_images, leave_one_out, score, unit
-from twin_node.unfinished import whole_file
+from twin_node.unfinished import unwritable, whole_file
 
 STRIP_TIMES = 3
 """Times at which every camera is shown."""
@@ -273,8 +273,8 @@ def _write(folder: Path, files: Mapping[str, str]) -> None:
     """Every file under a partial name first, then all under their own."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as whole:
-            for name, text in files.items():
-                whole.enter_context(whole_file(folder / name, ReportError)).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ReportError(f"--report {folder}: cannot be written ({error.strerror}); give another folder") from None
+        raise ReportError(unwritable(folder, error)) from None
+    with contextlib.ExitStack() as whole:
+        for name, text in files.items():
+            whole.enter_context(whole_file(folder / name, ReportError)).write_text(text, encoding="utf-8")

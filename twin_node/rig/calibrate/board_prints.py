@@ -155,11 +155,8 @@ def print_board(board: Board, path: Path) -> BoardPrint:
     _draw(axes, drawing)
     _caption(axes, board, drawing)
     form = path.suffix.lower()
-    try:
-        with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}), whole_file(path, RigError) as partial:
-            figure.savefig(partial, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}), whole_file(path, RigError) as partial:
+        figure.savefig(partial, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
     return drawing
 
 

@@ -14,7 +14,7 @@ from twin_node.rig.calibrate.results import residuals_of
 from twin_node.rig.calibrate.rig_fit import RigFit
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
-from twin_node.unfinished import whole_file
+from twin_node.unfinished import unwritable, whole_file
 
 TEMPLATE = Path(__file__).with_name("report.html")
 
@@ -73,11 +73,8 @@ def write_report(
         cameras=[_row(calibration, number, before) for number in range(len(rig_file.rig.cameras))],
         pictures=drawn,
     )
-    try:
-        with whole_file(path, RigError) as partial:
-            partial.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written ({error.strerror}); give another place") from None
+    with whole_file(path, RigError) as partial:
+        partial.write_text(page, encoding="utf-8")
     return tuple(drawn)
 
 
@@ -85,11 +82,11 @@ def save_pictures(drawn: Sequence[pictures.Picture], folder: Path) -> None:
     """Each picture of a page as a PNG file named after its title. Raises `RigError` where they cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for picture in drawn:
-            with whole_file(folder / f"{picture.title.lower().replace(' ', '_')}.png", RigError) as partial:
-                partial.write_bytes(base64.b64decode(picture.png))
     except OSError as error:
-        raise RigError(f"{folder}: cannot be written ({error.strerror}); give another folder") from None
+        raise RigError(unwritable(folder, error)) from None
+    for picture in drawn:
+        with whole_file(folder / f"{picture.title.lower().replace(' ', '_')}.png", RigError) as partial:
+            partial.write_bytes(base64.b64decode(picture.png))
 
 
 def _check_same(rig_file: RigFile, before: RigFile) -> None:
