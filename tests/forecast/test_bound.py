@@ -31,7 +31,7 @@ def followed(bound: Bound, seconds: float, spread_of_errors: np.ndarray, start: 
     now, held = like(spread_of_errors), []
     ages = np.ones(len(spread_of_errors))
     for time in start + np.arange(0, seconds, PERIOD):
-        radii = bound.radii(now, ages, HORIZON)
+        radii = bound.radii(bound.expected(now), ages, HORIZON)
         errors = np.abs(rng.normal(0, spread_of_errors))
         held.append(errors <= radii)
         bound.observe(float(time), now, errors, radii, PERIOD)
@@ -44,16 +44,16 @@ def test_coverage_settles_at_the_target_with_radii_in_proportion_to_the_errors()
     followed(bound, 4.0, spreads)
     held = np.array(followed(bound, 8.0, spreads, 4.0))
     assert 0.93 < held.mean() < 0.97
-    radii = bound.radii(like(spreads), np.ones(40), HORIZON)
+    radii = bound.radii(bound.expected(like(spreads)), np.ones(40), HORIZON)
     assert radii[-1] > 3 * radii[0]
     assert 1.5 < radii[-1] / 0.3 < 2.6  # 95 % of a half normal lie within 1.96 of its spread
 
 
 def test_small_errors_make_small_bounds() -> None:
     bound = Bound()
-    first = bound.radii(like(np.full(5, 0.01)), np.ones(5), HORIZON)
+    first = bound.radii(bound.expected(like(np.full(5, 0.01))), np.ones(5), HORIZON)
     followed(bound, 4.0, np.full(5, 0.002))
-    assert np.all(bound.radii(like(np.full(5, 0.01)), np.ones(5), HORIZON) < 0.1 * first)
+    assert np.all(bound.radii(bound.expected(like(np.full(5, 0.01))), np.ones(5), HORIZON) < 0.1 * first)
 
 
 def test_surprises_widen_the_bound_step_by_step_and_are_forgotten() -> None:
@@ -62,7 +62,7 @@ def test_surprises_widen_the_bound_step_by_step_and_are_forgotten() -> None:
     followed(bound, 4.0, calm)
 
     def radius() -> float:
-        return float(bound.radii(like(calm), np.ones(5), HORIZON)[0])
+        return float(bound.radii(bound.expected(like(calm)), np.ones(5), HORIZON)[0])
 
     before = radius()
     bound.observe(4.0, like(calm), np.full(5, 0.2), np.full(5, before), PERIOD)
@@ -78,11 +78,11 @@ def test_one_good_set_is_no_record_and_a_few_seconds_are() -> None:
     """Of 2 s of steady errors the bound holds little more than these; of the first of them it hardly narrows."""
     bound, now, errors = Bound(), like(np.full(40, 0.05)), np.full(40, 0.01)
     first = bound.quantile
-    bound.observe(0.0, now, errors, bound.radii(now, np.ones(40), HORIZON), PERIOD)
+    bound.observe(0.0, now, errors, bound.radii(bound.expected(now), np.ones(40), HORIZON), PERIOD)
     assert 0.7 * first < bound.quantile < 0.95 * first
     for step in range(1, 90):
-        bound.observe(step * PERIOD, now, errors, bound.radii(now, np.ones(40), HORIZON), PERIOD)
-    assert np.all(bound.radii(now, np.ones(40), HORIZON) < 0.02)
+        bound.observe(step * PERIOD, now, errors, bound.radii(bound.expected(now), np.ones(40), HORIZON), PERIOD)
+    assert np.all(bound.radii(bound.expected(now), np.ones(40), HORIZON) < 0.02)
 
 
 def test_who_erred_much_long_ago_is_expected_to_err_as_of_late() -> None:
@@ -118,14 +118,14 @@ def test_forecasts_of_before_something_new_began_tell_nothing_of_errors_to_come(
         bound = Bound()
         followed(bound, 4.0, spreads)
         bound.observe(4.0, like(spreads), np.where(known, 0.005, wild), np.full(20, 0.05), PERIOD, grown)
-        found.append(bound.radii(like(spreads), np.ones(20), HORIZON)[0])
+        found.append(bound.radii(bound.expected(like(spreads)), np.ones(20), HORIZON)[0])
     assert found[0] == found[1] < found[2]
 
 
 def test_without_a_record_the_reachable_set_stands_in() -> None:
     bound = Bound(BoundParameters(acceleration=8.0))
     followed(bound, 4.0, np.full(5, 0.002))
-    young, old = bound.radii(like(np.full(2, 0.01)), np.array([0.1, 1.0]), HORIZON)
+    young, old = bound.radii(bound.expected(like(np.full(2, 0.01))), np.array([0.1, 1.0]), HORIZON)
     assert young >= 0.5 * 8.0 * HORIZON**2
     assert old < young
 
@@ -142,22 +142,22 @@ def test_however_long_nothing_is_missed_no_more_may_be_missed_than_five_times_th
     for step in range(120):
         errors = rng.uniform(0.0, 0.2, 40)
         bound.observe(step * PERIOD, like(np.full(40, 0.1)), errors, np.ones(40), PERIOD)
-    radii = bound.radii(like(np.full(40, 0.1)), np.ones(40), HORIZON)
+    radii = bound.radii(bound.expected(like(np.full(40, 0.1))), np.ones(40), HORIZON)
     assert 0.85 < np.mean(rng.uniform(0.0, 0.2, 2000) < radii[0]) < 0.97
 
 
 def test_no_radius_exceeds_the_largest() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 5.0))
-    assert np.all(bound.radii(like(np.full(5, 5.0)), np.ones(5), HORIZON) <= LARGEST_RADIUS)
+    assert np.all(bound.radii(bound.expected(like(np.full(5, 5.0))), np.ones(5), HORIZON) <= LARGEST_RADIUS)
 
 
 def test_nothing_to_judge_changes_nothing() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 0.05))
-    before = bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON)
+    before = bound.radii(bound.expected(like(np.full(5, 0.05))), np.ones(5), HORIZON)
     bound.observe(2.0, np.zeros((0, CUES)), np.zeros(0), np.zeros(0), PERIOD)
-    assert np.array_equal(bound.radii(like(np.full(5, 0.05)), np.ones(5), HORIZON), before)
+    assert np.array_equal(bound.radii(bound.expected(like(np.full(5, 0.05))), np.ones(5), HORIZON), before)
 
 
 def test_the_factor_grows_with_what_the_images_miss_and_is_slow_to_shrink() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from twin_node.forecast import ForecastError, default_grid
-from twin_node.forecast.grid import decode_runs, encode_runs
+from twin_node.forecast.grid import MOST_VOXELS, decode_runs, encode_runs
 from twin_node.scene import Bool
 
 
@@ -21,8 +21,8 @@ def test_default_grid_covers_the_workspace() -> None:
 
 
 def test_default_grid_is_coarsened_to_the_cap() -> None:
-    grid = default_grid(np.array([[0.0, 0.0, 0.0], [10.0, 7.0, 3.0]]), most_voxels=50_000)
-    assert 30_000 < grid.size <= 50_000
+    grid = default_grid(np.array([[0.0, 0.0, 0.0], [10.0, 7.0, 3.0]]))
+    assert 0.6 * MOST_VOXELS < grid.size <= MOST_VOXELS
     assert np.all(np.array(grid.dims) * grid.voxel_size >= [10.0 - 1e-6, 7.0 - 1e-6, 3.0 - 1e-6])
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from twin_node import resources
 from twin_node.nodes import size_choice
 from twin_node.nodes.chain_parameters import ChainParameters, at_size
 from twin_node.nodes.log_source import LogSession
-from twin_node.nodes.size_choice import by_budget, by_target, read_front, timed_ms
+from twin_node.nodes.size_choice import FRONT_FILE, by_budget, by_target, read_front, timed_ms
 from twin_node.nodes.sizes import SHIPPED, SIZES
 from twin_node.nodes.topics import GraphError
 
@@ -26,11 +27,12 @@ def front(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_fastest_that_reaches_a_quality_is_taken(front: Path) -> None:
-    assert by_target(14, front).size == "tiny"
-    assert by_target(17.5, front).size == "small"
+def test_the_fastest_that_reaches_a_quality_is_taken(front: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(size_choice, "FRONT_FILE", str(front))
+    assert by_target(14).size == "tiny"
+    assert by_target(17.5).size == "small"
     with pytest.raises(GraphError, match=r"--target 30: expected at most 18\.0 dB"):
-        by_target(30, front)
+        by_target(30)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +47,7 @@ def test_a_file_that_is_none_is_named(content: str, tmp_path: Path) -> None:
 
 
 def test_the_table_that_ships_rates_every_size() -> None:
-    assert [rated.name for rated in read_front(None)] == list(SIZES)
+    assert [rated.name for rated in read_front(resources.find(Path(FRONT_FILE)))] == list(SIZES)
 
 
 @pytest.mark.parametrize(("budget_ms", "chosen"), [(1000, "full"), (60, "large"), (30, "small"), (1, "tiny")])

@@ -6,7 +6,6 @@ import numpy as np
 
 from twin_node.cell.shapes import touched_voxels
 from twin_node.cell.simulator import SimulatedRig
-from twin_node.cell.solids import Solid
 from twin_node.scene import Bool, Float64, Grid, Occupancy, OccupancyLayer, UInt32
 
 
@@ -22,11 +21,8 @@ class CellTruth:
 
     def moving_voxels(self, grid: Grid, stamp: int) -> UInt32:
         """Flat indices, increasing, of voxels whose cube meets a moving body or person; the arm left out."""
-        return _touched(self._world.moving(stamp), grid)
-
-    def arm_voxels(self, grid: Grid, stamp: int) -> UInt32:
-        """The same for the arm."""
-        return _touched(self._world.arm_solids(stamp), grid)
+        parts = [touched_voxels(solid.placed, grid) for solid in self._world.moving(stamp)]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *parts])).astype(np.uint32)
 
     def occupancy(self, stamp: int) -> Occupancy:
         """The moving voxels of `self.grid` at a stamp as one certain layer; static and unknown space are left empty."""
@@ -49,8 +45,3 @@ def workspace_grid(workspace: Float64, voxel_size: float) -> Grid:
     """The smallest grid of whole voxels over a box [2, 3] (lower and upper corner, m)."""
     dims = np.ceil((workspace[1] - workspace[0]) / voxel_size - 1e-6).astype(int)
     return Grid(workspace[0].astype(np.float64), voxel_size, (int(dims[0]), int(dims[1]), int(dims[2])))
-
-
-def _touched(solids: tuple[Solid, ...], grid: Grid) -> UInt32:
-    parts = [touched_voxels(solid.placed, grid) for solid in solids]
-    return np.unique(np.concatenate([np.empty(0, np.int64), *parts])).astype(np.uint32)

@@ -155,22 +155,18 @@ class Bound:
         scales: Float64 = np.exp(now @ self._scale.slopes)
         return scales
 
-    def radii(self, now: Float64, ages: Float64, horizon_s: float, factor: float = 1.0) -> Float64:
-        """Radii [M] in metres at the horizon, of nodes with cues [M, CUES]; `factor` multiplies what is calibrated.
-
-        Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach, and no
-        expert has shown to be right: their radius is at least a h^2 / 2 and the spread of the experts.
-        """
-        return self.radii_of(self.expected(now), ages, horizon_s, factor)
-
     def expected(self, now: Float64) -> Expected:
         """What is expected of the errors of nodes with cues [M, CUES]."""
         return Expected(self.scales(now), np.exp(now[:, 1]) - LEAST)
 
-    def radii_of(
+    def radii(
         self, expected: Expected, ages: Float64, horizon_s: float, factor: float = 1.0, stale_s: float = 0.0
     ) -> Float64:
-        """What `radii` does with the cues that this is expected by; `stale_s` as `reachable` has it."""
+        """Radii [M] in metres at the horizon; `factor` multiplies what is calibrated, `stale_s` as `reachable` has it.
+
+        Nodes whose record of `ages` [M] (s) is shorter than the horizon may be anywhere that they can reach, and no
+        expert has shown to be right: their radius is at least a h^2 / 2 and the spread of the experts.
+        """
         calibrated = factor * self.quantile * expected.scales
         reachable = self.reachable(horizon_s, stale_s) + expected.spread
         radii: Float64 = np.where(ages >= horizon_s, calibrated, np.maximum(calibrated, reachable))

@@ -23,8 +23,8 @@ class GridParameters:
     """Edge of a voxel, m."""
 
 
-def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int = MOST_VOXELS) -> Grid:
-    """Grid over a workspace [2, 3] (lower and upper corner, m), coarsened until it has at most `most_voxels`.
+def default_grid(workspace: Float64, voxel_size: float = 0.02) -> Grid:
+    """Grid over a workspace [2, 3] (lower and upper corner, m), coarsened until it has at most `MOST_VOXELS`.
 
     Raises `ForecastError` for a workspace that is not finite, not lower < upper, or too large for voxels that tell
     anything, and for a voxel size that is none.
@@ -41,13 +41,13 @@ def default_grid(workspace: Float64, voxel_size: float = 0.02, most_voxels: int 
             "CPU cores"
         )
     extent = corners[1] - corners[0]
-    size = max(voxel_size, float(np.cbrt(extent.prod() / most_voxels)))
-    while np.prod(np.ceil(extent / size - 1e-9)) > most_voxels:
+    size = max(voxel_size, float(np.cbrt(extent.prod() / MOST_VOXELS)))
+    while np.prod(np.ceil(extent / size - 1e-9)) > MOST_VOXELS:
         size *= 1.02
     if size > LARGEST_VOXEL_M:
         across = " x ".join(f"{side:g}" for side in extent)
         raise ForecastError(
-            f"workspace: expected one in metres that {most_voxels} voxels of at most {LARGEST_VOXEL_M:g} m fill, found "
+            f"workspace: expected one in metres that {MOST_VOXELS} voxels of at most {LARGEST_VOXEL_M:g} m fill, found "
             f"{across} m; correct `workspace` in the rig file: divide millimetres by 1000"
         )
     dims = np.maximum(np.ceil(extent / size - 1e-9), 1).astype(int)

@@ -67,7 +67,7 @@ class NearestOne(NamedTuple):
     """[n] among the m; m where there is none."""
 
 
-def nearest_one(points: Float64, among: Float64, within: float = np.inf) -> NearestOne:
+def nearest_one(points: Float64, among: Float64, within: float) -> NearestOne:
     """Which of the points `among` [m, 3] is nearest to each of `points` [n, 3], nearer than `within`; in metres.
 
     Where some point has two that are as near, a tree says which is taken: so it is the same one whoever looks for it.

@@ -99,7 +99,7 @@ def reaches_reference(known: Known, bound: Bound, factor: float, span: Span) -> 
     horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
     ages, largest = known.now - known.began, LARGEST_RADIUS
     reachable = bound.reachable(last, known.stale_s)
-    radii = bound.radii_of(known.expected, ages, last, factor, known.stale_s)
+    radii = bound.radii(known.expected, ages, last, factor, known.stale_s)
     wary = known.now - known.turned < WARY * last
     radii = np.where(wary, np.maximum(radii, reachable), radii)
     if told is None:

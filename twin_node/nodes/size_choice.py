@@ -43,18 +43,18 @@ class _Front:
     sizes: tuple[Rated, ...] = ()
 
 
-def by_target(psnr_db: float, path: Path | None = None) -> Choice:
+def by_target(psnr_db: float) -> Choice:
     """The fastest size whose moving pixels of left-out cameras reached `psnr_db` on the bench's data.
 
     Raises `GraphError` where none did, naming the best.
     """
-    front = read_front(path)
+    front = read_front(resources.find(Path(FRONT_FILE)))
     good = [rated for rated in front if rated.psnr_left_out_db >= psnr_db]
     if not good:
         best = max(rated.psnr_left_out_db for rated in front)
-        raise GraphError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {path or FRONT_FILE}")
+        raise GraphError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {FRONT_FILE}")
     chosen = min(good, key=lambda rated: rated.ms_per_frame)
-    reached = f"{chosen.psnr_left_out_db:.1f} dB in {path or FRONT_FILE}"
+    reached = f"{chosen.psnr_left_out_db:.1f} dB in {FRONT_FILE}"
     return Choice(chosen.name, f"size {chosen.name}: the fastest that reached {psnr_db:g} dB ({reached})")
 
 
@@ -77,9 +77,8 @@ def timed_ms(session: LogSession, chain: ChainParameters, clock: Callable[[], fl
     return spent
 
 
-def read_front(path: Path | None) -> tuple[Rated, ...]:
-    """The sizes of a file that `bench pareto` wrote; None: as shipped. Raises `GraphError` for one that is none."""
-    path = path or resources.find(Path(FRONT_FILE))
+def read_front(path: Path) -> tuple[Rated, ...]:
+    """The sizes of a file that `bench pareto` wrote. Raises `GraphError` for one that is none."""
     content = read_yaml(path, "sizes as `twin_node bench pareto` writes them", GraphError)
     try:
         sizes = fill(_Front, content, str(path)).sizes if isinstance(content, dict) else ()

@@ -10,6 +10,8 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.undistort import Undistorter
 from twin_node.scene import Camera, Float32, FrameSet, JointSample, RigCamera, UInt8, View
 
+MOST_JOINT_GAP_NS = 100_000_000
+"""Joints further from a set's stamp than this are not its own."""
 JOINTS_KEPT_NS = 2_000_000_000
 """Joint samples stamped further than this from the one that came last are dropped: longer than any set waits."""
 
@@ -32,17 +34,11 @@ class FrameAssembler:
     Raises `RigError` for a rig without cameras.
     """
 
-    def __init__(
-        self, cameras: Sequence[RigCamera], width: int | None = None, max_joint_gap_ns: int = 100_000_000
-    ) -> None:
-        """`width`: of all views, pixels; None: each camera's own.
-
-        Joints further from a set's stamp than `max_joint_gap_ns` are left out.
-        """
+    def __init__(self, cameras: Sequence[RigCamera], width: int | None = None) -> None:
+        """`width`: of all views, pixels; None: each camera's own."""
         if not cameras:
             raise RigError("frame assembler: expected at least one camera, found none")
         self._undistorters = {camera.name: Undistorter(camera, width) for camera in cameras}
-        self._max_joint_gap_ns = max_joint_gap_ns
         self._joints: list[JointSample] = []
         self._sequence = 0
 
@@ -100,6 +96,6 @@ class FrameAssembler:
 
     def _joints_at(self, stamp: int) -> JointSample | None:
         nearest = min(self._joints, key=lambda s: abs(s.stamp - stamp), default=None)
-        if nearest is None or abs(nearest.stamp - stamp) > self._max_joint_gap_ns:
+        if nearest is None or abs(nearest.stamp - stamp) > MOST_JOINT_GAP_NS:
             return None
         return nearest
