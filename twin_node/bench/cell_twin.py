@@ -22,7 +22,6 @@ from twin_node.messages import Message, convert
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.latency import Latency
-from twin_node.nodes.live.cell import depth_m
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.model import Following
 from twin_node.nodes.synchronizer import SynchronizerNode
@@ -225,7 +224,7 @@ class TwinPerception:
                 self.first_seen_ns = exposure.stamp
         topics = topics_of(image.camera, TOPICS)
         assert topics.depth is not None
-        depth = convert.depth_image(image.camera, image.stamp, depth_m(image))
+        depth = convert.depth_image(image.camera, image.stamp, image.depth_m)
         colour = convert.compressed_image(image.camera, image.stamp, image.rgb)
         before, begun = self._newest, time.process_time_ns()
         self._reading.publish(topics.depth, depth)

@@ -11,7 +11,6 @@ from twin_node.bench.graph import SOURCES, cell_plan
 from twin_node.bench.graph_run import GraphRun, running
 from twin_node.cell import SimulatedRig, load_scenario
 from twin_node.messages import convert
-from twin_node.nodes.live.cell import depth_m
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.topics import DIAGNOSTICS, OBSTACLES
 from twin_node.runtime.parameters import fill
@@ -102,7 +101,7 @@ class _Cameras:
             if exposure.tick:
                 break
             image = rig.take(exposure)
-            self._pictures[image.camera] = (image.rgb, depth_m(image))
+            self._pictures[image.camera] = (image.rgb, image.depth_m)
         sections = cell_plan().sections
         parameters = fill(RigParameters, sections["/**"]["rig"], "bench graph")
         self._topics = {name: topics_of(name, parameters) for name in self._pictures}

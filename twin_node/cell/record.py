@@ -126,7 +126,7 @@ class Recording:
 def _depth(image: RawImage) -> Message:
     if image.depth_is_nan:
         return nan_depth(image, image.stamp)
-    return depth_image(image.camera, image.stamp, image.depth_mm.astype(np.float32) / np.float32(1000), "16UC1")
+    return depth_image(image.camera, image.stamp, image.depth_m, "16UC1")
 
 
 def nan_depth(image: RawImage, stamp: int) -> Message:

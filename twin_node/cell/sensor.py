@@ -37,6 +37,13 @@ class RawImage:
     depth_is_nan: bool = False
     """The camera sends NaN instead of `depth_mm`."""
 
+    @property
+    def depth_m(self) -> Float32:
+        """[H, W] depth as it is published, m; 0 where it is unknown."""
+        if self.depth_is_nan:
+            return np.zeros(self.depth_mm.shape, np.float32)
+        return self.depth_mm.astype(np.float32) / np.float32(1000)
+
 
 def sense(camera: str, stamp: int, rendering: Rendering, sensing: Sensing, rng: np.random.Generator) -> RawImage:
     """The image that a camera with the errors of `sensing` makes of a perfect one."""

@@ -54,9 +54,7 @@ class LogRig:
         return any(one.name == camera for one in self.rig.cameras)
 
 
-def rig_for(
-    log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None, tf_static: str = TF_STATIC
-) -> LogRig:
+def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Rig | None, tf_static: str) -> LogRig:
     """The rig of the cameras that the log has images of: the one given (or its file), else the log's own calibration.
 
     A camera that the rig given does not have is left out, and one whose own calibration the log does not hold where it
@@ -124,7 +122,7 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
     return rig
 
 
-def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str = TF_STATIC) -> None:
+def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str) -> None:
     """Depth is taken for that of the colour image's pixels: raises `GraphError` where its own calibration says no.
 
     So may the log's transforms: two lenses of one device may have the same focal length, side by side. A CameraInfo

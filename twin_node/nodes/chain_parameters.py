@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters, GridParameters
@@ -16,7 +15,7 @@ from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section, check_sh
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
-from twin_node.runtime.parameters import EVERY_NODE, ParameterError, fill, read_parameters, values_of
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, read_parameters, values_of
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
 
@@ -59,7 +58,7 @@ def load_parameters(path: Path | None) -> ChainParameters:
     return chain_parameters(sections, str(path))
 
 
-def chain_parameters(sections: Mapping[str, Mapping[str, Any]], where: str) -> ChainParameters:
+def chain_parameters(sections: Sections, where: str) -> ChainParameters:
     """The parameters that a file's sections give the chain's nodes, at the size that they name.
 
     Raises `ParameterError`, naming `where`, for a key that does not exist, with the nearest one.

@@ -9,7 +9,16 @@ from dataclasses import dataclass
 from twin_node.bag import LogReader
 from twin_node.messages import MessageError
 from twin_node.nodes.renaming import Renamed
-from twin_node.nodes.topics import COMPRESSED, RAW, CameraTopics, GraphError, camera_of, find_cameras, path_of
+from twin_node.nodes.topics import (
+    COMPRESSED,
+    IMAGE_TYPES,
+    RAW,
+    CameraTopics,
+    GraphError,
+    camera_of,
+    find_cameras,
+    path_of,
+)
 
 _OF_DEPTH = ("16UC1", "32FC1")
 """Encodings of `sensor_msgs/Image` that hold depth and no colour."""
@@ -85,7 +94,7 @@ def _unused(
     of = "/".join(path_of(cameras[0].image)) if len(cameras) == 1 else "CAMERA"
     lines = {}
     for name, kind in spoken.items():
-        is_depth = name in measured or ("depth" in name and kind in (COMPRESSED, RAW))
+        is_depth = name in measured or ("depth" in name and kind in IMAGE_TYPES)
         if is_depth and camera_of(name) not in used and names.original(name) == name:  # else its new name was meant
             form = "/compressedDepth" if kind == COMPRESSED else ""
             lines[camera_of(name)] = (

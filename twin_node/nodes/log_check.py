@@ -24,9 +24,10 @@ from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, stati
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import (
     CAMERA_INFO,
-    COMPRESSED,
-    RAW,
+    IMAGE_TYPES,
+    JOINT_STATE,
     RECORDED,
+    REGULAR_TYPES,
     TF_STATIC,
     CameraTopics,
     GraphError,
@@ -34,9 +35,6 @@ from twin_node.nodes.topics import (
 )
 from twin_node.scene import RigCamera
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-REGULAR_TYPES = (COMPRESSED, RAW, JOINT_STATE)
-"""Types of topics that come at a rate."""
 LARGEST_ANGLE_RAD = 2 * np.pi + 0.1
 """Joints of UR arms turn by one turn each way; more is degrees, or not their angle."""
 FARTHEST_M, NEAREST_M = 30.0, 0.05
@@ -168,7 +166,7 @@ def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
             return [f"{wild} messages with positions that are not finite"]
         if largest.max(initial=0.0) > LARGEST_ANGLE_RAD:
             return [f"positions up to {largest.max():.1f} rad: more than a turn; are they degrees?"]
-    if msgtype in (COMPRESSED, RAW) and "depth" in topic:
+    if msgtype in IMAGE_TYPES and "depth" in topic:
         return _depth_faults(seen.contents)
     return []
 
@@ -201,12 +199,11 @@ def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
         return [str(error)]
     cameras = [names.original_camera(camera) for camera in in_log.found]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
+    faults = [*in_log.unused, *joint_doubts(names)]
     try:
         check_depth(log, cameras, names.original(TF_STATIC))
     except GraphError as error:
-        faults = [*in_log.unused, *joint_doubts(names), str(error)]
-    else:
-        faults = [*in_log.unused, *joint_doubts(names)]
+        faults.append(str(error))
     try:
         found = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:

@@ -56,6 +56,10 @@ TRUTH_OCCUPANCY = "/truth/occupancy"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 RAW = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMAGE_TYPES = (COMPRESSED, RAW)
+REGULAR_TYPES = (*IMAGE_TYPES, JOINT_STATE)
+"""Types of topics that come at a rate."""
 
 _MESSAGE_TYPES = {
     GAUSSIANS: TopicKind("sensor_msgs/msg/PointCloud2", Qos(depth=1, latched=True, repeats=True)),
@@ -66,7 +70,7 @@ _MESSAGE_TYPES = {
     SEPARATION: TopicKind("twin_msgs/msg/SeparationState"),
     STATUS: TopicKind("twin_msgs/msg/TwinStatus"),
     DIAGNOSTICS: TopicKind("diagnostic_msgs/msg/DiagnosticArray"),
-    JOINT_STATES: TopicKind("sensor_msgs/msg/JointState"),
+    JOINT_STATES: TopicKind(JOINT_STATE),
     TRAJECTORY: TopicKind("trajectory_msgs/msg/JointTrajectory"),
     FOLLOW: TopicKind("trajectory_msgs/msg/JointTrajectory"),
     ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty"),
@@ -182,7 +186,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     colour images, the path above may (`/oak/stereo/image_raw` of depthai_ros, beside `/oak/rgb/image_raw`).
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
-    images = [topic for topic in types if types[topic] in (COMPRESSED, RAW)]
+    images = [topic for topic in types if types[topic] in IMAGE_TYPES]
     images.sort(key=lambda t: (not is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
     for topic in images:
@@ -217,12 +221,12 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
 
 def has_images(types: Mapping[str, str]) -> bool:
     """Whether a log with these topics (name -> type) has images of any kind."""
-    return any(kind in (COMPRESSED, RAW) for kind in types.values())
+    return any(kind in IMAGE_TYPES for kind in types.values())
 
 
 def has_colour(types: Mapping[str, str]) -> bool:
     """Whether a log with these topics (name -> type) has colour images, as `find_cameras` tells them from depth."""
-    return any(kind in (COMPRESSED, RAW) and _is_colour(topic) for topic, kind in types.items())
+    return any(kind in IMAGE_TYPES and _is_colour(topic) for topic, kind in types.items())
 
 
 def _is_depth(topic: str) -> bool:

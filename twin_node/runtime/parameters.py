@@ -18,6 +18,9 @@ from twin_node.yaml_file import read_yaml
 
 T = TypeVar("T")
 
+Sections = Mapping[str, Mapping[str, Any]]
+"""Node name -> its `ros__parameters`; `/**` holds those of every node that knows them."""
+
 EVERY_NODE = "/**"
 """The section whose parameters go to every node that knows them."""
 LAUNCH = "launch"
@@ -52,7 +55,7 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
 
 
-def values_of(kind: type[Any], name: str, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def values_of(kind: type[Any], name: str, sections: Sections) -> dict[str, Any]:
     """What sections by node name give the node of a name, whose parameters are a `kind`.
 
     What `/**` says is every node's that has such a key, unless its own section says otherwise.

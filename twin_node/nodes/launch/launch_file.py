@@ -20,9 +20,8 @@ from twin_node.nodes.launch.kinds import (
     is_foreign,
     nearest,
 )
-from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
-from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, fill, read_parameters
+from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.yaml_file import YAML_ERRORS, parse_yaml, read_yaml
 
@@ -77,7 +76,8 @@ class Argument:
 
 def read_arguments(path: Path | str) -> tuple[Argument, ...]:
     """The arguments of a launch file. Raises `GraphError` where it is none."""
-    return _arguments(_launch_section(resources.find(path)), resources.find(path))
+    path = resources.find(path)
+    return _arguments(_launch_section(path), path)
 
 
 def read_launch_file(

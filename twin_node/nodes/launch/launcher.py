@@ -127,7 +127,7 @@ class Launcher:
             if not self._plan.is_lockstep:
                 self._names = self._claimed_names()
                 self._tell_of_foreign_router()
-            for process in self._plan.processes if not self._plan.is_lockstep else (_LOCKSTEP,):
+            for process in self._processes():
                 self._children[process.name] = self._spawned(process)
                 self._children[process.name].configure()
             return self._watch()

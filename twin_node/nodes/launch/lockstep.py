@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any
 
 from twin_node.nodes.calibration import load_base_rig
 from twin_node.nodes.chain_parameters import chain_parameters
@@ -15,12 +14,10 @@ from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
 from twin_node.nodes.topics import RECORDED, GraphError, parse_remaps
-from twin_node.runtime.parameters import EVERY_NODE, fill
+from twin_node.runtime.parameters import EVERY_NODE, Sections, fill
 
 
-def run_in_lockstep(
-    sections: Mapping[str, Mapping[str, Any]], where: str, stop: threading.Event, say: Callable[[str], None]
-) -> None:
+def run_in_lockstep(sections: Sections, where: str, stop: threading.Event, say: Callable[[str], None]) -> None:
     """Replays the player's log through the chain into the recorder's output; `stop` ends it with nothing written.
 
     `say(line)` tells the user what of the log is doubtful, or was not to be had.

@@ -8,13 +8,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from twin_node.runtime.parameters import Sections
+
 
 @dataclass(frozen=True)
 class Order:
     """What a process is to do."""
 
     nodes: tuple[str, ...]
-    sections: Mapping[str, Mapping[str, Any]]
+    sections: Sections
     follows_clock: bool
     is_lockstep: bool
     zenoh: Mapping[str, Any]

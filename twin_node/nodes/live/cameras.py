@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
-from twin_node.nodes.live.rig_messages import publish_calibration
+from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
 from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import COMPRESSED, GraphError
+from twin_node.nodes.topics import GraphError
 from twin_node.rig.cameras import CameraImage, ImageSource, OpenCvCamera, OpenCvSource
 from twin_node.rig.cameras.oak import OakCamera, OakSource
 from twin_node.rig.cameras.oak_lens import FactoryCalibration
@@ -90,13 +90,10 @@ class CamerasNode(Node):
 
     def _publish(self, image: CameraImage) -> None:
         topics = topics_of(image.camera, self._rig_parameters)
-        self.bus.publish(topics.info, convert.camera_info(self._cameras[image.camera], image.stamp))
+        depth = None
         if topics.depth is not None and image.depth is not None:
-            compressed = topics.depth_type == COMPRESSED
-            to_message = convert.compressed_depth_image if compressed else convert.depth_image
-            self.bus.publish(topics.depth, to_message(image.camera, image.stamp, image.depth))
-        colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
-        self.bus.publish(topics.image, colour(image.camera, image.stamp, image.rgb))
+            depth = depth_message(topics, image.stamp, image.depth)
+        publish_image(self.bus, topics, self._cameras[image.camera], image.stamp, image.rgb, depth)
 
 
 def _doubt(camera: RigCamera, factory: FactoryCalibration | None) -> str | None:

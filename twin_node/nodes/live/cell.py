@@ -6,20 +6,17 @@ import math
 import threading
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from twin_node.cell import SimulatedRig, load_scenario
 from twin_node.cell.record import TRAJECTORY_RATE_HZ, nan_depth
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure
 from twin_node.messages import Message, convert
 from twin_node.nodes.live.own_thread import OwnThread
-from twin_node.nodes.live.rig_messages import publish_calibration
+from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY
+from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY, CameraTopics
 from twin_node.runtime.node import Node
-from twin_node.scene import Float32
 
 
 @dataclass(frozen=True)
@@ -109,11 +106,8 @@ class CellNode(Node):
         stamp += image.stamp - exposure.stamp  # but for a fault of the camera's they are the same
         topics = topics_of(image.camera, self._parameters.rig)
         camera = self._simulated.rig.cameras[exposure.camera]
-        self.bus.publish(topics.info, convert.camera_info(camera, stamp))
-        if topics.depth is not None:
-            self.bus.publish(topics.depth, _depth(image, stamp, topics.depth_type == COMPRESSED))
-        colour = convert.compressed_image if topics.image_type == COMPRESSED else convert.raw_image
-        self.bus.publish(topics.image, colour(image.camera, stamp, image.rgb))
+        depth = None if topics.depth is None else _depth(image, stamp, topics)
+        publish_image(self.bus, topics, camera, stamp, image.rgb, depth)
 
     def _publish_joints(self) -> None:
         arm, begun = self._simulated.world.arm, self._begun
@@ -137,14 +131,7 @@ class CellNode(Node):
         return scenario.start_ns + min(passed, int(scenario.duration_s * 1e9))
 
 
-def _depth(image: RawImage, stamp: int, compressed: bool) -> Message:
-    if compressed:
-        return convert.compressed_depth_image(image.camera, stamp, depth_m(image))
-    return nan_depth(image, stamp) if image.depth_is_nan else convert.depth_image(image.camera, stamp, depth_m(image))
-
-
-def depth_m(image: RawImage) -> Float32:
-    """[H, W] depth as cameras publish it, m; 0 where it is unknown."""
-    if image.depth_is_nan:
-        return np.zeros(image.depth_mm.shape, np.float32)
-    return image.depth_mm.astype(np.float32) / np.float32(1000)
+def _depth(image: RawImage, stamp: int, topics: CameraTopics) -> Message:
+    if image.depth_is_nan and topics.depth_type != COMPRESSED:
+        return nan_depth(image, stamp)
+    return depth_message(topics, stamp, image.depth_m)

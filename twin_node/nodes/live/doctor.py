@@ -13,14 +13,22 @@ import numpy as np
 
 from twin_node.messages import builtin_types, convert, header_stamp
 from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
-from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, COMPRESSED, DIAGNOSTICS, RAW, RECORDED, TRAJECTORY, kind_of
+from twin_node.nodes.topics import (
+    CLOCK,
+    CLOCK_FOLLOWER,
+    DIAGNOSTICS,
+    IMAGE_TYPES,
+    RECORDED,
+    REGULAR_TYPES,
+    TRAJECTORY,
+    kind_of,
+)
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import WireBus
 
-REGULAR_TYPES = (COMPRESSED, RAW, "sensor_msgs/msg/JointState")
 OF_ONE = (CLOCK, TRAJECTORY, *(topic for topic in RECORDED if topic != DIAGNOSTICS))
 """Topics of which a graph has one publisher: of two, who listens would follow now one and now the other."""
 CLOCK_TOLERANCE_NS = 20_000_000
@@ -151,7 +159,7 @@ def _silence_fault(topic: str, ends: Sequence[Endpoint], endpoints: Sequence[End
 def _rivalry_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
     """Who publish a topic that only one may; None: one, or it may be several."""
     said_by = _publishers(ends)
-    if len(said_by) < 2 or not (topic in OF_ONE or ends[0].msgtype in (COMPRESSED, RAW)):
+    if len(said_by) < 2 or not (topic in OF_ONE or ends[0].msgtype in IMAGE_TYPES):
         return None
     return f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one"
 
@@ -164,7 +172,7 @@ def _publishers(ends: Sequence[Endpoint]) -> list[str]:
 
 def _is_needed(msgtype: str) -> bool:
     """Whether who listens cannot do without: images, and what the twin's own nodes say; joints and paths are extras."""
-    return msgtype in (COMPRESSED, RAW) or msgtype.startswith("twin_msgs/")
+    return msgtype in IMAGE_TYPES or msgtype.startswith("twin_msgs/")
 
 
 def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> str:

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from twin_node.nodes.live.rig_source import RigParameters
-from twin_node.nodes.live.sections import Sections
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
-from twin_node.runtime.parameters import EVERY_NODE, fill, values_of
+from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 

@@ -10,12 +10,12 @@ from typing import Any
 
 from twin_node.messages import convert
 from twin_node.nodes.launch.kinds import find_factory
-from twin_node.nodes.live.sections import Sections
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import CLOCK, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
+from twin_node.runtime.parameters import Sections
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters, open_client, open_router
