@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twin_node.bag import BagError
+from twin_node.bench import occupancy
+from twin_node.bench.errors import BenchError
 from twin_node.bench.occupancy import OccupancyBenchParameters, score_states
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
+from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.chain_parameters import ChainParameters
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.truth import LaterTruth
 from twin_node.robot import ur_model
 from twin_node.robot.mjcf import write_mjcf
@@ -132,3 +138,19 @@ def test_the_arm_may_be_one_from_a_file_as_that_of_the_chain(tmp_path: Path) -> 
     (tmp_path / "own.xml").write_text(write_mjcf(ur_model("ur5e")))
     chain = ChainParameters(arm=ArmParameters(model=str(tmp_path / "own.xml")))
     assert score_states([crossing_box(0)], GRID, LaterTruth(), OccupancyBenchParameters(chain=chain)).sets == 1
+
+
+def test_a_log_is_read_as_the_chain_reads_it(cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = SynchronizerParameters(width=48, depth_tolerance_ms=33.0)
+    read: list[SynchronizerParameters] = []
+
+    class Source(LogSource):
+        def __init__(self, session: LogSession, parameters: SynchronizerParameters, names: Collection[str]) -> None:
+            super().__init__(session, parameters, names)
+            read.append(parameters)
+
+    monkeypatch.setattr(occupancy, "LogSource", Source)
+    chain = ChainParameters(synchronizer=asked, model=ModelParameters(seed=SeedParameters(steps=1)))
+    with pytest.raises(BenchError, match="expected more than"):
+        occupancy.run(cell_log(0.1), parameters=OccupancyBenchParameters(chain=chain))
+    assert read == [asked]

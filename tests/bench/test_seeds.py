@@ -16,8 +16,11 @@ from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.cli import main
 from twin_node.forecast import default_grid
+from twin_node.nodes.chain_parameters import ChainParameters
+from twin_node.nodes.synchronizer import SynchronizerParameters
 
 AHEAD_NS = 200_000_000
+NARROW = ChainParameters(synchronizer=SynchronizerParameters(width=64))
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +73,7 @@ def test_what_was_in_view_is_asked_for_where_it_has_come_once_it_had_moved(scena
 
 
 def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
-    bench = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(width=64, duration_s=0.75))
+    bench = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(chain=NARROW, duration_s=0.75))
     heading, rule, line = table([bench]).splitlines()
     assert heading.count("|") == rule.count("|") == line.count("|")
     assert line.startswith("| conveyor | ")
@@ -93,7 +96,7 @@ def test_seeds_are_scored_from_the_first_one_asked_for_on(
         scored.append(scenario.seed)
         return one
 
-    one = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(width=64, duration_s=0.4)).runs[0]
+    one = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(chain=NARROW, duration_s=0.4)).runs[0]
     monkeypatch.setattr(seeds, "_scored", score)
     assert main(["bench", "occupancy", "conveyor", "--seeds", "3", "--first-seed", "15"]) == 0
     assert scored == [15, 16, 17]

@@ -21,8 +21,7 @@ from twin_node.forecast.score import litres_per_voxel
 from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
-from twin_node.nodes.log_source import DEFAULT_WIDTH, LogSession, LogSource
-from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, Occupancy, TwinState
@@ -34,10 +33,6 @@ OURS = "ours"
 class OccupancyBenchParameters:
     """How a log is scored."""
 
-    width: int | None = DEFAULT_WIDTH
-    """Working width of the images in pixels; None: the cameras' own."""
-    max_rate_hz: float | None = None
-    """Sets above this rate are skipped; None takes all."""
     rig: Path | None = None
     """Rig file that replaces the log's own calibration."""
     remaps: Mapping[str, str] | None = None
@@ -51,7 +46,7 @@ class OccupancyBenchParameters:
     warm_up_s: float = 0.4
     """Forecasts from the first so many seconds are made and not scored: nothing has had time to be seen moving."""
     chain: ChainParameters = field(default_factory=ChainParameters)
-    """Model, arm and grid as the chain's."""
+    """Synchroniser, model, arm and grid as the chain's."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +112,7 @@ def run(
     remaps = dict(parameters.remaps or {})
     session = LogSession(log, parameters.rig, remaps, parameters.start_offset_s, parameters.duration_s)
     with session:
-        synchronizer = SynchronizerParameters(parameters.width, parameters.max_rate_hz)
-        source = LogSource(session, synchronizer, parameters.chain.arm.arm().joint_names)
+        source = LogSource(session, parameters.chain.synchronizer, parameters.chain.arm.arm().joint_names)
         grid = default_grid(source.workspace, parameters.chain.grid.voxel_size)
         truth = _truth_of(session, markers, colour)
         tally = None if colour is None else BodyTally(colour, round(parameters.latency_ms * 1e6))

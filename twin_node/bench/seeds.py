@@ -9,8 +9,8 @@ import numpy as np
 
 from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
-from twin_node.bench.results_folder import markdown_table
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
+from twin_node.bench.results_folder import markdown_table
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
 from twin_node.forecast.comparison import Score
@@ -161,7 +161,7 @@ def run_seeds(
 
 def _small(scenario: Scenario, parameters: OccupancyBenchParameters) -> Scenario:
     """The scenario at the working width, and no longer than asked for."""
-    scaled = scenario.at_width(parameters.width or scenario.sensing.width)
+    scaled = scenario.at_width(parameters.chain.synchronizer.width or scenario.sensing.width)
     return replace(scaled, duration_s=min(scenario.duration_s, parameters.duration_s or np.inf))
 
 

@@ -42,8 +42,6 @@ def _bench_occupancy(options: argparse.Namespace) -> None:
 
     chain = with_source_options(load_parameters(options.params), options)
     parameters = OccupancyBenchParameters(
-        width=chain.synchronizer.width,
-        max_rate_hz=chain.synchronizer.max_rate_hz,
         rig=options.rig,
         remaps=parse_remaps(options.remap),
         start_offset_s=options.start_offset or 0.0,

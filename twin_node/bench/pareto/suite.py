@@ -23,7 +23,6 @@ from twin_node.model.sequence import Recording, recording_of
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SHIPPED, SIZES
-from twin_node.nodes.synchronizer import SynchronizerParameters
 
 RIVALS = tuple(name for name in METHODS if name not in (OURS, "static_3dgs"))
 """What ours is charted with; 3DGS of all frames is one of the ablations of `bench methods`."""
@@ -210,8 +209,8 @@ def _recorded(log: Path, parameters: ParetoParameters) -> Recording:
         names = [camera.name for camera in session.rig.cameras]
         if len(names) < 3:
             raise BenchError(f"{log}: expected three cameras, so that one can be left out, found {len(names)}")
-        source = LogSource(session, SynchronizerParameters(parameters.width, parameters.rate_hz))
-        return recording_of(log.stem, source, names[:1], parameters.frames)
+        read = replace(parameters.chain.synchronizer, width=parameters.width, max_rate_hz=parameters.rate_hz)
+        return recording_of(log.stem, LogSource(session, read), names[:1], parameters.frames)
 
 
 def _with_forecast(points: Sequence[Point], job: ForesightJob, foreseen: Sequence[ForesightPoint]) -> list[Point]:
