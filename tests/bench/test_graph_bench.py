@@ -173,10 +173,10 @@ def test_a_part_that_is_named_twice_is_measured_once(
     assert main(["bench", "graph", "--only", "hops", "hops", "--seconds", "3"]) == 0
     assert measured == [3.0]
     assert capsys.readouterr().out.splitlines() == [
-        "hops: from process to process               p50 ms      p99 ms    least ms    messages",
-        "  image                                        1.0         1.0         1.0           1",
-        "  depth                                        1.0         1.0         1.0           1",
-        "  small message                                1.0         1.0         1.0           1",
+        "hops: from process to process  p50 ms  p99 ms  least ms  messages",
+        "  image                           1.0     1.0       1.0         1",
+        "  depth                           1.0     1.0       1.0         1",
+        "  small message                   1.0     1.0       1.0         1",
         "  came out of order: 0",
     ]
 

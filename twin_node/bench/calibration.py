@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from time import perf_counter
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.simulated_rigs import BOARD, START_NS, RigSpread, SimulatedRig, simulated_rig
+from twin_node.bench.text_table import figure, text_table
 from twin_node.bench.workers import spread
 from twin_node.geometry import pose, transform
 from twin_node.rig.calibrate.extrinsics import RigSolution, calibrate_rig
@@ -80,18 +81,14 @@ class CalibrationBench:
 
     def table(self) -> str:
         """For people: a line per rig, then the share of true poses that are where they were said to be."""
-        head = "rig cameras  median px  position mm  turn deg  sight mm  offset ms  rate ppm  inside 99 %"
-        lines = [
-            f"{r.seed:3d} {r.cameras:7d} {r.median_reprojection_px:10.3f} {r.position_mm:12.3f} {r.turn_deg:9.4f} "
-            f"{r.sight_mm:9.3f} {r.offset_ms:10.4f} {r.rate_ppm:9.2f} {r.poses_inside:7d} of {r.cameras}"
-            for r in self.rigs
-        ]
+        heads = ("rig", "cameras", "median px", "position mm", "turn deg", "sight mm", "offset ms", "rate ppm")
+        rows = ((*map(figure, astuple(rig)[:8]), f"{rig.poses_inside} of {rig.cameras}") for rig in self.rigs)
         cameras = sum(rig.cameras for rig in self.rigs)
         last = (
             f"stated 99 % ellipsoids hold {100 * self.coverage:.1f} % of {cameras} poses; "
             f"{self.seconds:.0f} s for {len(self.rigs)} rigs"
         )
-        return "\n".join([head, *lines, last])
+        return f"{text_table((*heads, 'inside 99 %'), rows)}\n{last}"
 
     @property
     def coverage(self) -> float:

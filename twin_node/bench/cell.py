@@ -12,6 +12,7 @@ import numpy as np
 from twin_node.bench.cell_case import PERFECT, POLICIES, UNLIMITED, WORST_CASE, CellCase
 from twin_node.bench.cell_scores import Outcome, score
 from twin_node.bench.errors import BenchError
+from twin_node.bench.text_table import text_table
 from twin_node.bench.workers import spread
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
@@ -244,22 +245,22 @@ def _percentile_ms(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], percen
 
 def table(figures: Mapping[str, Any]) -> str:
     """The figures of `summary` as lines of text: a row per policy and scenario."""
-    rows = [f"{'':<14}{'policy':<14}{'contacts':>9}{'work':>8}{'nearest':>9}{'stops':>7}{'false':>7}{'gap':>7}"]
+    rows = []
     for name, group in {"all": figures, **figures["scenarios"]}.items():
         for policy in (OURS, BY_SIGHT, *(policy.name for policy in POLICIES)):
             if policy not in group:
                 continue
             row, gap = group[policy], group["gap_closed"] if policy == OURS else None
-            rows.append(
-                f"{name:<14}{policy:<14}{row['contacts']:>9}{row['work']:>8.3f}{_text(row['min_distance_m'], 'm'):>9}"
-                f"{row['stops']:>7}{row['false_stops']:>7}{_text(gap):>7}"
-            )
+            counts = (str(row[count]) for count in ("stops", "false_stops"))
+            nearest = _text(row["min_distance_m"], "m")
+            rows.append((name, policy, str(row["contacts"]), f"{row['work']:.3f}", nearest, *counts, _text(gap)))
     delays = figures["slow_down_ms"]
-    rows.append(
+    told = (
         f"slow-down after entry: {delays['entries']} entries, p50 {_text(delays['p50'], 'ms')}, "
         f"p95 {_text(delays['p95'], 'ms')}, unanswered {delays['unanswered']}; {figures['runs']} runs"
     )
-    return "\n".join(rows)
+    heads = ("", "policy", "contacts", "work", "nearest", "stops", "false", "gap")
+    return f"{text_table(heads, rows)}\n{told}"
 
 
 def _text(value: float | None, unit: str = "") -> str:

@@ -11,6 +11,7 @@ from twin_node.bench.graph_hops import HopFigures
 from twin_node.bench.graph_network import NetworkFigures
 from twin_node.bench.graph_recorder import KilledFigures, RecorderFigures
 from twin_node.bench.graph_run import Percentiles
+from twin_node.bench.text_table import text_table
 
 Figures = (
     LatencyFigures
@@ -24,16 +25,11 @@ Figures = (
 )
 """What a part of the bench gives back."""
 
-_LABEL, _CELL = 38, 12
-"""Widths of a table's first column and of the others, characters."""
-
 
 def table(part: str, figures: Figures) -> str:
     """A part's figures as lines; `part` is what `--only` calls it."""
-    lines = (
-        f"{label:<{_LABEL}}" + "".join(f"{cell:>{_CELL}}" for cell in cells) for label, *cells in _rows(part, figures)
-    )
-    return "\n".join(line.rstrip() for line in lines)
+    heads, *rows = _rows(part, figures)
+    return text_table(heads, rows)
 
 
 def _rows(part: str, figures: Figures) -> Iterator[Sequence[str]]:

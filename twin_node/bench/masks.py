@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.bench.mask_scores import MaskFigures, MaskTally, PixelKinds, compare, figures_of
 from twin_node.bench.mask_truth import MovingParts
-from twin_node.bench.results_folder import markdown_table
+from twin_node.bench.text_table import markdown_table
 from twin_node.cell import CellSource, Scenario
 from twin_node.model import MovingMask, SeedParameters
 from twin_node.model.balance import balance

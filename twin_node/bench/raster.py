@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from twin_node.bench.text_table import text_table
 from twin_node.splat import image_loss, rasterize, rasterize_reference
 
 FIELD_OF_VIEW = math.radians(70)
@@ -84,12 +85,18 @@ def run(bench: RasterBench | None = None) -> dict[str, Any]:
 
 def table(report: dict[str, Any]) -> str:
     """The report as lines to read."""
-    lines = [f"{'backend':8} {'Gaussians':>9} {'image':>9} {'SH':>2} {'forward ms':>11} {'with backward ms':>17}"]
-    for backend in ("cpu", "plain", "cuda"):
-        for row in report[backend] or []:
-            image = f"{row['width']}x{row['height']}"
-            times = f"{row['forward_ms']:11.2f} {row['forward_backward_ms']:17.2f}"
-            lines.append(f"{backend:8} {row['n']:9} {image:>9} {row['sh_degree']:2} {times}")
+    rows = [
+        (
+            backend,
+            str(row["n"]),
+            f"{row['width']}x{row['height']}",
+            str(row["sh_degree"]),
+            *(f"{row[time]:.2f}" for time in ("forward_ms", "forward_backward_ms")),
+        )
+        for backend in ("cpu", "plain", "cuda")
+        for row in report[backend] or []
+    ]
+    lines = [text_table(("backend", "Gaussians", "image", "SH", "forward ms", "with backward ms"), rows)]
     lines.append(f"training iteration, 3 cameras: {report['training_iteration_ms']:.2f} ms")
     lines.append(f"5 % of the pixels against all: {report['masked_ratio']:.2f}")
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,8 +50,3 @@ def save_text(folder: Path, name: str, text: str) -> None:
     """Writes a file of this name. Raises `BenchError` where it cannot."""
     with whole_file(folder / name, BenchError) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lines of a table in Markdown."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ("---",) * len(heads), *rows))

@@ -10,7 +10,7 @@ import numpy as np
 from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
-from twin_node.bench.results_folder import markdown_table
+from twin_node.bench.text_table import markdown_table
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
 from twin_node.forecast.comparison import Score

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twin_node.bench.methods.table import MethodRow, MethodsBench
 from twin_node.bench.results_folder import save_chart
+from twin_node.bench.text_table import figure, text_table
 
 COLUMNS: dict[str, Callable[[MethodRow], float | int | None]] = {
     "PSNR": lambda row: row.scores.psnr_db,
@@ -24,15 +25,16 @@ COLUMNS: dict[str, Callable[[MethodRow], float | int | None]] = {
 
 def text(bench: MethodsBench) -> str:
     """The table as lines, and the figures below it."""
+    rows = (
+        (f"{row.title}{' *' if row.online else ''}", *(figure(value(row)) for value in COLUMNS.values()))
+        for row in bench.rows.values()
+    )
     lines = [
         f"{bench.data}: {bench.frames} frames of {bench.size}, {bench.training_images} training images, "
         f"scored on {bench.scored_images} held-out images (PSNR in dB)",
-        f"{'':30}" + "".join(f"{name:>15}" for name in COLUMNS),
+        text_table(("", *COLUMNS), rows),
+        "* knows the images up to each time alone",
     ]
-    for row in bench.rows.values():
-        title = f"{row.title}{' *' if row.online else ''}"
-        lines.append(f"{title:30}" + "".join(f"{_cell(value(row)):>15}" for value in COLUMNS.values()))
-    lines.append("* knows the images up to each time alone")
     if bench.ours_less_offline_db is not None:
         lines.append(f"ours less the better 4DGS, moving pixels: {bench.ours_less_offline_db:+.2f} dB")
     lines += [f"{name}: {value:.2f}" for name, value in bench.ablations.items()]
@@ -43,8 +45,8 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     """`methods.png` in `folder`: PSNR of all and of moving pixels. Raises `BenchError` where it cannot be written."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 0.5 * len(bench.rows) + 1.5), layout="constrained")
-    axes = figure.add_subplot()
+    chart = Figure(figsize=(8, 0.5 * len(bench.rows) + 1.5), layout="constrained")
+    axes = chart.add_subplot()
     titles = [row.title for row in bench.rows.values()]
     for offset, name in ((-0.2, "PSNR"), (0.2, "moving")):
         found = [COLUMNS[name](row) for row in bench.rows.values()]
@@ -59,10 +61,4 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     axes.set_xlabel("PSNR on held-out cameras, dB")
     axes.legend(loc="lower right")
     axes.set_title(f"{bench.data}, {bench.frames} frames of {bench.size}")
-    return save_chart(figure, folder, "methods")
-
-
-def _cell(value: float | int | None) -> str:
-    if value is None:
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.2f}"
+    return save_chart(chart, folder, "methods")

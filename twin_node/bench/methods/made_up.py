@@ -65,9 +65,8 @@ class MadeUp:
     truth: MotionTruth
 
 
-def make_up(parameters: MadeUpParameters | None = None) -> MadeUp:
+def make_up(p: MadeUpParameters) -> MadeUp:
     """Renders the scene and samples its motion."""
-    p = parameters or MadeUpParameters()
     stamps = [START_NS + round(index * 1e9 / p.rate_hz) for index in range(p.frames)]
     cameras = _cameras(p, p.cameras, "train", 0.0)
     hidden = _cameras(p, p.held_out, "held_out", 60.0 / p.cameras)

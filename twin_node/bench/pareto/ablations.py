@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
@@ -13,7 +13,7 @@ import torch
 from twin_node.bench.errors import BenchError
 from twin_node.bench.pareto.following import OURS, Follower, settled_ms
 from twin_node.bench.pareto.suite import check_names
-from twin_node.bench.results_folder import markdown_table
+from twin_node.bench.text_table import figure, markdown_table, text_table
 from twin_node.bench.workers import workers
 from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
@@ -208,25 +208,21 @@ def _follow(job: _Job) -> Ablated:
 
 def text(rows: Sequence[Ablated]) -> str:
     """The tables as lines, one per log."""
-    lines = []
-    for data in dict.fromkeys(row.data for row in rows):
-        lines.append(f"{data:20}" + "".join(f"{name:>18}" for name in _COLUMNS))
-        for row in rows:
-            if row.data == data:
-                cells = (_cell(getattr(row, name)) for name in _COLUMNS)
-                lines.append(f"{row.name:20}" + "".join(f"{cell:>18}" for cell in cells))
-    return "\n".join(lines)
+    logs = dict.fromkeys(row.data for row in rows)
+    return "\n".join(
+        text_table((data, *_COLUMNS), ((row.name, *_cells(row)) for row in rows if row.data == data)) for data in logs
+    )
 
 
 def markdown(rows: Sequence[Ablated]) -> str:
     """One table of all logs, as Markdown."""
     heads = ("data", "left out", *(name.replace("_", " ") for name in _COLUMNS))
-    cells = ((row.data, row.name.replace("_", " "), *(_cell(getattr(row, name)) for name in _COLUMNS)) for row in rows)
+    cells = ((row.data, row.name.replace("_", " "), *_cells(row)) for row in rows)
     return markdown_table(heads, cells) + "\n"
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+def _cells(row: Ablated) -> Iterator[str]:
+    return (figure(getattr(row, name)) for name in _COLUMNS)
 
 
 _COLUMNS = tuple(field.name for field in fields(Ablated) if field.name not in ("data", "name"))

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from twin_node.bench.stability.scenes import MIDDLE, SIZE, Course, box, ramped, sampled, small_cell
+from twin_node.bench.text_table import figure, text_table
 from twin_node.bench.workers import workers
 from twin_node.cell import CellSource, Scenario
 from twin_node.cell.scenario import Triple
@@ -165,15 +166,12 @@ def _tenfold(scenes: Sequence[Cost]) -> Cost:
 def text(costs: Sequence[Cost]) -> str:
     """The runs as lines."""
     heads = ("", "Gaussians", "moving px %", "moving Gaussians", "ms, first", "ms, last")
-    lines = ["".join(f"{head:>18}" for head in heads)]
-    for cost in costs:
-        cells = (
-            cost.name,
-            f"{cost.gaussians}",
-            f"{100 * cost.moving_pixels:.1f}",
-            f"{cost.moving_gaussians:.0f}",
-            f"{cost.first_ms:.1f}",
-            f"{cost.last_ms:.1f}",
+    rows = (
+        (
+            one.name,
+            *map(figure, (one.gaussians, 100 * one.moving_pixels, one.moving_gaussians)),
+            *map(figure, (one.first_ms, one.last_ms)),
         )
-        lines.append("".join(f"{cell:>18}" for cell in cells))
-    return "\n".join(lines)
+        for one in costs
+    )
+    return text_table(heads, rows)

@@ -14,8 +14,9 @@ import torch
 
 from twin_node.bag.qos import is_latched
 from twin_node.bench.errors import BenchError
-from twin_node.bench.results_folder import markdown_table, save_chart
+from twin_node.bench.results_folder import save_chart
 from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
+from twin_node.bench.text_table import markdown_table, text_table
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.cell import CellSource, Scenario
 from twin_node.forecast import GridParameters
@@ -242,8 +243,7 @@ MOST_ROWS = 12
 
 def text(found: Length) -> str:
     """The run as lines."""
-    rows = [HEADS, *_rows(found)]
-    return "\n".join(["".join(f"{cell:>12}" for cell in row) for row in rows] + [_verdict(found)])
+    return f"{text_table(HEADS, _rows(found))}\n{_verdict(found)}"
 
 
 def markdown(found: Length) -> str:

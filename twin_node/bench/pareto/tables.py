@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import against_hexplane, said
 from twin_node.bench.pareto.measure import OURS, Point
 from twin_node.bench.pareto.suite import Pareto
-from twin_node.bench.results_folder import markdown_table
+from twin_node.bench.text_table import figure, markdown_table, text_table
 from twin_node.nodes.sizes import SIZES
 
 COLUMNS: dict[str, Callable[[Point], float | int | None]] = {
@@ -37,12 +37,11 @@ def text(found: Pareto) -> str:
     """The tables as lines."""
     lines = []
     for data, points in found.by_data().items():
-        lines.append(f"{data} (* online, = on the front; times of one core)")
-        lines.append(f"{'':34}" + "".join(f"{name:>20}" for name in COLUMNS))
+        rows = []
         for point in points:
             marks = f"{' *' if point.online else ''}{' =' if on_front(point, found.points) else ''}"
-            cells = "".join(f"{_cell(value(point)):>20}" for value in COLUMNS.values())
-            lines.append(f"{point.title + marks:34}{cells}")
+            rows.append((point.title + marks, *_cells(point)))
+        lines += [f"{data} (* online, = on the front; times of one core)", text_table(("", *COLUMNS), rows)]
     return "\n".join([*lines, *_verdicts(found)])
 
 
@@ -54,7 +53,7 @@ def markdown(found: Pareto) -> str:
         for point in points:
             title = point.title + (" \\*" if point.online else "")
             title = f"**{title}**" if on_front(point, found.points) else title
-            rows.append((title, *(_cell(value(point)) for value in COLUMNS.values())))
+            rows.append((title, *_cells(point)))
         heads = ("method (\\* online, **on the front**)", *COLUMNS)
         lines += [f"### {data}", "", markdown_table(heads, rows), ""]
     return "\n".join([*lines, *(f"- {verdict}" for verdict in _verdicts(found))]) + "\n"
@@ -86,7 +85,5 @@ def _verdicts(found: Pareto) -> list[str]:
     return lines + [said(one) for one in against_hexplane(found.points)]
 
 
-def _cell(value: float | int | None) -> str:
-    if value is None:
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+def _cells(point: Point) -> Iterator[str]:
+    return (figure(value(point)) for value in COLUMNS.values())

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin_node.bench.results_folder import markdown_table, save_chart
+from twin_node.bench.results_folder import save_chart
 from twin_node.bench.stability.case import BASELINES
 from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.pictures import OURS
 from twin_node.bench.stability.suite import OUR_PICTURES, Stability
+from twin_node.bench.text_table import markdown_table, text_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,12 +32,15 @@ NEVER = "-"
 
 def text(found: Stability) -> str:
     """The table as lines."""
-    lines = [f"{'gives way at':34}" + "".join(f"{name:>20}" for name in TITLES)]
-    for failure in found.failures:
-        cells = [_cell(found.gives_way(name, failure)) for name in TITLES]
-        title = f"{FAILURES[failure].title} [{FAILURES[failure].unit}]"
-        lines.append(f"{title:34}" + "".join(f"{cell:>20}" for cell in cells))
-    lines.append(f"{'silent failures':34}" + "".join(f"{_silent(found, name):>20}" for name in TITLES))
+    rows = [
+        (
+            f"{FAILURES[failure].title} [{FAILURES[failure].unit}]",
+            *(_cell(found.gives_way(name, failure)) for name in TITLES),
+        )
+        for failure in found.failures
+    ]
+    rows.append(("silent failures", *(_silent(found, name) for name in TITLES)))
+    lines = [text_table(("gives way at", *TITLES), rows)]
     share = found.warning_share(OURS)
     if share is not None:
         lines.append(f"warnings of ours while nothing is wrong: {100 * share:.2f} % of the time")
