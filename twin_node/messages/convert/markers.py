@@ -13,13 +13,20 @@ from twin_node.messages.stamps import header, to_duration
 from twin_node.messages.types import Message, message_type
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape, Rig, RigCamera, Separation
 
-COLOURS = {
-    ObstacleKind.MOVING: (0.85, 0.19, 0.15, 0.45),
-    ObstacleKind.STATIC: (0.45, 0.45, 0.50, 0.35),
-    ObstacleKind.UNKNOWN: (0.95, 0.70, 0.10, 0.12),
-    ObstacleKind.UNSEEN: (0.98, 0.86, 0.47, 0.12),
+KIND_COLOURS = {
+    ObstacleKind.MOVING: (0.85, 0.19, 0.15),
+    ObstacleKind.STATIC: (0.60, 0.63, 0.65),
+    ObstacleKind.UNKNOWN: (0.95, 0.60, 0.0),
+    ObstacleKind.UNSEEN: (0.98, 0.86, 0.47),
 }
-"""Red, green, blue and opacity of obstacles by kind."""
+"""Red, green and blue (sRGB, 0 to 1) of obstacles by kind, wherever they are shown."""
+KIND_OPACITIES = {
+    ObstacleKind.MOVING: 0.45,
+    ObstacleKind.STATIC: 0.2,
+    ObstacleKind.UNKNOWN: 0.12,
+    ObstacleKind.UNSEEN: 0.12,
+}
+"""Opacity of obstacles by kind, live."""
 FRUSTUM_COLOUR = (0.10, 0.45, 0.91, 1.0)
 FRUSTUM_DEPTH_M = 0.3
 """How far a camera's frustum is drawn, m."""
@@ -38,8 +45,9 @@ def obstacles_to_markers(obstacles: Obstacles) -> Message:
     wipe.action = _DELETE_ALL
     markers = [wipe]
     templates = {}
-    for kind, colour in COLOURS.items():
-        templates[kind] = _marker(obstacles.stamp, BASE_FRAME, kind.name.lower(), 0, _CUBE, colour)
+    for kind, colour in KIND_COLOURS.items():
+        shown = (*colour, KIND_OPACITIES[kind])
+        templates[kind] = _marker(obstacles.stamp, BASE_FRAME, kind.name.lower(), 0, _CUBE, shown)
         templates[kind].lifetime = to_duration(LIFETIME_NS)
     for row in range(len(obstacles.ids)):
         marker = copy.copy(templates[ObstacleKind(int(obstacles.kinds[row]))])  # shares what all have: time is short

@@ -11,18 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.nodes.export.moments import Moments
+from twin_node.messages.convert.markers import KIND_COLOURS
+from twin_node.nodes.export.moments import Moments, opacity
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
 PARKED = np.array([0.0, 0.0, -1000.0])
 """Where a body waits that no obstacle needs, m: no arm comes near."""
-COLOURS = {
-    ObstacleKind.MOVING: "0.85 0.19 0.15 0.6",
-    ObstacleKind.STATIC: "0.6 0.63 0.65 0.8",
-    ObstacleKind.UNKNOWN: "0.95 0.6 0 0.3",
-    ObstacleKind.UNSEEN: "0.98 0.86 0.47 0.3",
-}
 
 PLAYER = '''"""Plays the model beside this file in MuJoCo's viewer at its own pace, over and over."""
 
@@ -121,7 +116,7 @@ def write_collision_scene(moments: Moments, path: Path) -> None:
 
 def _body_element(number: int, body: _Body) -> ET.Element:
     element = ET.Element("body", name=f"obstacle_{number}", mocap="true", pos=_text(PARKED))
-    is_sphere = body.shape == ObstacleShape.SPHERE
+    kind, is_sphere = ObstacleKind(body.kind), body.shape == ObstacleShape.SPHERE
     ET.SubElement(
         element,
         "geom",
@@ -130,7 +125,7 @@ def _body_element(number: int, body: _Body) -> ET.Element:
         size=_text(body.half[:1] if is_sphere else body.half),
         contype="0",
         conaffinity="1",
-        rgba=COLOURS[ObstacleKind(body.kind)],
+        rgba=_text(np.array([*KIND_COLOURS[kind], opacity(kind)])),
     )
     return element
 

@@ -10,7 +10,7 @@ from twin_node.errors import TwinError
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.robot import ArmModel
-from twin_node.scene import Float32, Float64, GaussianCloud, Obstacles
+from twin_node.scene import Float32, Float64, GaussianCloud, ObstacleKind, Obstacles
 
 
 class ExportError(TwinError):
@@ -33,6 +33,11 @@ class Moment:
     """All Gaussians; None where the log has none, or none are wanted."""
     harmonics: Float32 | None = None
     """[N, K, 3] of the cloud's colours, where they differ from side to side."""
+
+
+def opacity(kind: ObstacleKind) -> float:
+    """How an obstacle of a kind is shown: what moves hides more of what is behind it."""
+    return 0.6 if kind == ObstacleKind.MOVING else 0.3
 
 
 class Source(Protocol):

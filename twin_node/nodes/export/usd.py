@@ -10,18 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import quat_from_rotation
-from twin_node.nodes.export.moments import ExportError, Moment, Moments
+from twin_node.messages.convert.markers import KIND_COLOURS
+from twin_node.nodes.export.moments import ExportError, Moment, Moments, opacity
 from twin_node.robot import ArmModel, Capsules, forward_kinematics
 from twin_node.scene import Float32, Float64, GaussianCloud, ObstacleKind, ObstacleShape, Tier
 
-COLOURS = {
-    ObstacleKind.MOVING: (0.85, 0.19, 0.15),
-    ObstacleKind.STATIC: (0.6, 0.63, 0.65),
-    ObstacleKind.UNKNOWN: (0.95, 0.6, 0.0),
-    ObstacleKind.UNSEEN: (0.98, 0.86, 0.47),
-}
 ARM_COLOUR = (0.62, 0.68, 0.74)
-"""Of obstacles and arm, as a screen has them (sRGB), like those of Gaussians; a stage holds all of them `linear`."""
+"""As a screen has it (sRGB), like those of obstacles and Gaussians; a stage holds all of them `linear`."""
 SIGMAS_SHOWN = 2.0
 """A point is drawn as wide as so many standard deviations of its Gaussian, either side."""
 
@@ -184,8 +179,8 @@ class _Collider:
             geom = UsdGeom.Cube.Define(stage, path)
             geom.CreateSizeAttr(2.0)
         geom.CreateExtentAttr([Gf.Vec3f(-1), Gf.Vec3f(1)])
-        geom.CreateDisplayColorAttr(_display_colour(COLOURS[kind]))
-        geom.CreateDisplayOpacityAttr([0.6 if kind == ObstacleKind.MOVING else 0.3])
+        geom.CreateDisplayColorAttr(_display_colour(KIND_COLOURS[kind]))
+        geom.CreateDisplayOpacityAttr([opacity(kind)])
         self._move, self._turn, self._scale = geom.AddTranslateOp(), geom.AddOrientOp(), geom.AddScaleOp()
         self._visibility = geom.CreateVisibilityAttr()
         self._collides = UsdPhysics.CollisionAPI.Apply(geom.GetPrim()).CreateCollisionEnabledAttr()

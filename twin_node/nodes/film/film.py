@@ -10,7 +10,7 @@ import numpy as np
 
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
-from twin_node.nodes.overlays import arm_mask, moving_mask
+from twin_node.nodes.overlays import MOVING_COLOUR, arm_mask, moving_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
@@ -25,9 +25,8 @@ CAPTION_PX, TITLE_PX = 22, 16
 """Heights of the strips of words above a picture of all, and above each of one camera."""
 FONT, SMALLEST_FONT, MARGIN_PX = 0.45, 0.28, 6
 """Scales of OpenCV's font: of all words, and the smallest that can be read."""
-MOVING_COLOUR = (217, 48, 37)
-ARM_COLOUR = (242, 153, 0)
-"""Of boxes about what moves, and of the arm's outline."""
+OUTLINE_COLOUR = (242, 153, 0)
+"""Of the arm's outline."""
 
 
 class Film:
@@ -112,7 +111,7 @@ class Film:
         arm = arm_mask(snapshot, camera, self._arm)
         if foreseen is not None:
             picture = fill(picture, foreseen, FORESEEN)
-        for mask, colour in ((arm, ARM_COLOUR), (moving, TRUE)):
+        for mask, colour in ((arm, OUTLINE_COLOUR), (moving, TRUE)):
             if mask is not None:
                 picture = outline(picture, mask, colour)
         return picture

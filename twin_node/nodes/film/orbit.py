@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twin_node.geometry import inverse_pose, looking_at, project, rotation_from_quat
+from twin_node.geometry import looking_at, project, rotation_from_quat
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.scene import Bool, Camera, Float64, Obstacles, Tier, UInt8
 
@@ -55,7 +55,7 @@ def draw_boxes(
 ) -> UInt8:
     """The picture with the edges of the chosen obstacles [n] (spheres as the boxes about them)."""
     drawn = picture.copy()
-    viewmat = inverse_pose(camera.T_base_cam)
+    viewmat = camera.viewmat
     for row in np.flatnonzero(chosen):
         rotation = rotation_from_quat(obstacles.quats[row])
         corners = (CORNERS * obstacles.sizes[row]) @ rotation.T + obstacles.positions[row]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.arm.path import sample_path
 from twin_node.geometry import quat_from_rotation
+from twin_node.messages.convert.markers import KIND_COLOURS, KIND_OPACITIES
 from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, JointSample, ObstacleKind, Obstacles, ObstacleShape
@@ -18,18 +19,6 @@ from twin_node.scene import HORIZONS_NS, Bool, Float64, Grid, JointSample, Obsta
 ARM_COLOUR, GHOST_COLOUR = (158, 173, 189), (26, 115, 232)
 GHOST_OPACITY = 0.25
 AHEAD_NS = HORIZONS_NS[-1]
-KIND_COLOURS = {
-    ObstacleKind.MOVING: (217, 48, 37),
-    ObstacleKind.STATIC: (154, 160, 166),
-    ObstacleKind.UNKNOWN: (242, 153, 0),
-    ObstacleKind.UNSEEN: (251, 220, 120),
-}
-KIND_OPACITIES = {
-    ObstacleKind.MOVING: 0.45,
-    ObstacleKind.STATIC: 0.2,
-    ObstacleKind.UNKNOWN: 0.12,
-    ObstacleKind.UNSEEN: 0.12,
-}
 MOVING_VOXELS, STATIC_VOXELS, UNKNOWN_VOXELS = (217, 48, 37), (95, 99, 104), (242, 153, 0)
 MARK_COLOUR = (161, 66, 244)
 MARK_M = 0.01
@@ -164,7 +153,7 @@ class ObstacleShapes:
             batched_positions=positions,
             batched_wxyzs=quats,
             batched_scales=sizes,
-            batched_colors=np.array(KIND_COLOURS[kind], np.uint8),
+            batched_colors=np.rint(255 * np.array(KIND_COLOURS[kind])).astype(np.uint8),
             opacity=KIND_OPACITIES[kind],
             lod="off",
             cast_shadow=False,
