@@ -143,24 +143,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(prog="twin_node", description="A live 4D Gaussian twin of a robot cell.")
     parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    add_replay(commands)
-    add_launch(commands)
-    add_record(commands)
-    add_play(commands)
-    add_info(commands)
-    add_check(commands)
-    add_doctor(commands)
-    add_import(commands)
-    add_demo(commands)
-    add_bench(commands)
-    add_calibrate(commands)
-    add_export(commands)
-    add_render(commands)
-    add_view(commands)
-    add_ur_driver(commands)
-    add_ur_sim(commands)
-    add_sim(commands)
-    add_train(commands)
-    add_bake(commands)
-    add_edit(commands)
+    for add in (
+        *(add_replay, add_launch, add_record, add_play, add_info, add_check, add_doctor),
+        *(add_import, add_demo, add_bench, add_calibrate, add_export, add_render, add_view),
+        *(add_ur_driver, add_ur_sim, add_sim, add_train, add_bake, add_edit),
+    ):
+        add(commands)
     return parser

@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from twin_node.cli.parser import at_home
 from twin_node.errors import TwinError
@@ -16,8 +16,12 @@ from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from twin_node.nodes.arm_parameters import ArmParameters
     from twin_node.nodes.chain_parameters import ChainParameters
+
+Parameters = TypeVar("Parameters", bound="DataclassInstance")
 
 DEFAULT_ARM = "ur10e"
 
@@ -78,9 +82,13 @@ def arm_of(options: argparse.Namespace) -> ArmParameters:
 
 def with_source_options(parameters: ChainParameters, options: argparse.Namespace) -> ChainParameters:
     """Chain parameters with the command line's width and rate in place of the file's."""
-    given = {"width": options.width, "max_rate_hz": options.max_rate}
-    changed = {name: value for name, value in given.items() if value is not None}
-    return replace(parameters, synchronizer=replace(parameters.synchronizer, **changed))
+    read = with_given(parameters.synchronizer, width=options.width, max_rate_hz=options.max_rate)
+    return replace(parameters, synchronizer=read)
+
+
+def with_given(parameters: Parameters, **options: Any) -> Parameters:
+    """Parameters, a dataclass, with the values of those options that were given: the others are None."""
+    return replace(parameters, **{name: value for name, value in options.items() if value is not None})
 
 
 def positive(text: str) -> float:

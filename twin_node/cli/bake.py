@@ -47,7 +47,7 @@ def _bake(options: argparse.Namespace) -> None:
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header
         check_size(model, options.steps or len(header.stamps))
-        stamps = header.stamps if options.steps is None else _evenly(header.span.first, header.span.last, options.steps)
+        stamps = header.stamps if options.steps is None else model.span.evenly(options.steps)
         baked = bake_model(model, stamps, header.cameras)
     else:
         if options.measure or options.steps is not None:
@@ -61,13 +61,6 @@ def _bake(options: argparse.Namespace) -> None:
         print(json_text(figures))
         return
     print(f"{options.output}: " + ", ".join(f"{name} {_shown(value)}" for name, value in figures.items()))
-
-
-def _evenly(first: int, last: int, count: int) -> list[int]:
-    """`count` stamps from first to last; the first alone for one."""
-    if count == 1 or first == last:
-        return [first]
-    return sorted({first + round((last - first) * index / (count - 1)) for index in range(count)})
 
 
 def _bake_log(options: argparse.Namespace) -> Baked:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import given_of, not_negative, positive, whole
+from twin_node.cli.arguments import given_of, not_negative, positive, whole, with_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.progress import over
 from twin_node.json_text import json_text
@@ -90,7 +90,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         )
     names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
     law = SeparationParameters(unknown=UnknownPolicy(options.unknown))
-    parameters = cell.CellBenchParameters(
+    chosen = cell.CellBenchParameters(
         scenarios=tuple(dict.fromkeys(names)),
         seeds=options.seeds,
         first_seed=options.first_seed,
@@ -101,8 +101,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         processes=options.processes,
         loop=LoopParameters(separation=law),
     )
-    if options.latency is not None:
-        parameters = replace(parameters, latency_ms=options.latency)
+    parameters = with_given(chosen, latency_ms=options.latency)
     if options.out is not None:
         prepared(options.out)
     results = cell.run(parameters, over("run"))

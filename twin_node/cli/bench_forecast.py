@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, positive, refuse_given, seed
+from twin_node.cli.arguments import not_negative, positive, refuse_given, seed, with_given
 from twin_node.cli.output import add_json, print_figures
 
 NOISE_M = 0.005
@@ -57,13 +56,6 @@ def _bench_forecast(options: argparse.Namespace) -> None:
     elif options.made_up:
         figures = made_up.run(fps, noise_m, noise_seed).as_json()
     else:
-        parameters = forecast.ForecastBenchParameters(
-            fps=fps,
-            noise_m=noise_m,
-            joints=tuple(options.joints or ()),
-            seed=noise_seed,
-        )
-        if options.height is not None:
-            parameters = replace(parameters, height_m=options.height)
-        figures = forecast.run(options.file, parameters).as_json()
+        parameters = forecast.ForecastBenchParameters(fps, noise_m, joints=tuple(options.joints or ()), seed=noise_seed)
+        figures = forecast.run(options.file, with_given(parameters, height_m=options.height)).as_json()
     print_figures(figures, options.json)

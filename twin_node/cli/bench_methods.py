@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import refuse_given, whole, width
+from twin_node.cli.arguments import refuse_given, whole, width, with_given
 from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
@@ -75,8 +75,7 @@ def _made_up(options: argparse.Namespace, budget: Budget, report: Report) -> Met
     why = "expected with recorded data; the made-up scene has cameras of its own"
     refuse_given(options, ("hold_out", "rig"), why)
     parameters = MADE_UP_QUICK if options.quick else MadeUpParameters()
-    given = {"width": options.width, "frames": options.frames}
-    parameters = replace(parameters, **{name: value for name, value in given.items() if value is not None})
+    parameters = with_given(parameters, width=options.width, frames=options.frames)
     scene = make_up(parameters)
     bench = run(scene.recording, scene.truth, budget, _names(options), report)
     return bench if options.methods else replace(bench, ablations=ablations(parameters, budget, report))

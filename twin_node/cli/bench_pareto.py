@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import not_negative, positive, refuse_given, whole, width
+from twin_node.cli.arguments import not_negative, positive, refuse_given, whole, width, with_given
 from twin_node.cli.output import add_json
 from twin_node.cli.progress import over
 from twin_node.json_text import json_text
@@ -42,18 +41,14 @@ def _bench_pareto(options: argparse.Namespace) -> None:
 
     if not options.logs:
         refuse_given(options, ("frames", "start_offset"), "expected with a LOG, which they are of; give one")
-    rivals = None if options.methods is None else _names(options.methods)
-    given = {
-        "frames": options.frames,
-        "processes": options.processes,
-        "rivals": rivals,
-        "start_offset_s": options.start_offset,
-    }
-    parameters = replace(
+    parameters = with_given(
         QUICK if options.quick else ParetoParameters(),
         logs=tuple(options.logs),
         chain=load_parameters(options.params),
-        **{name: value for name, value in given.items() if value is not None},
+        frames=options.frames,
+        processes=options.processes,
+        rivals=_names(options.methods),
+        start_offset_s=options.start_offset,
     )
     if options.out is not None:
         prepared(options.out)
@@ -68,9 +63,9 @@ def _bench_pareto(options: argparse.Namespace) -> None:
         found.check()
 
 
-def _names(text: str) -> tuple[str, ...]:
-    """Of a list, each once."""
-    return tuple(dict.fromkeys(text.split(",")))
+def _names(text: str | None) -> tuple[str, ...] | None:
+    """Of a list that was given, each once."""
+    return None if text is None else tuple(dict.fromkeys(text.split(",")))
 
 
 def add_bench_ablations(benches: Any) -> None:
@@ -139,8 +134,7 @@ def _bench_ablations(options: argparse.Namespace) -> None:
         width=options.width,
         processes=options.processes,
     )
-    if options.only is not None:
-        parameters = replace(parameters, names=_names(options.only))
+    parameters = with_given(parameters, names=_names(options.only))
     if options.out is not None:
         prepared(options.out)
     rows = ablations.run(parameters, over("run"))

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import whole
+from twin_node.cli.arguments import whole, with_given
 from twin_node.cli.output import add_json
 from twin_node.cli.progress import over
 from twin_node.json_text import json_text
@@ -31,11 +30,12 @@ def _bench_stability(options: argparse.Namespace) -> None:
     from twin_node.bench.stability import chart
     from twin_node.bench.stability.suite import QUICK, StabilityParameters, run
 
-    parameters = replace(
-        QUICK if options.quick else StabilityParameters(), seeds=options.seeds, processes=options.processes
+    parameters = with_given(
+        QUICK if options.quick else StabilityParameters(),
+        seeds=options.seeds,
+        processes=options.processes,
+        names=None if options.only is None else tuple(dict.fromkeys(options.only)),
     )
-    if options.only:
-        parameters = replace(parameters, names=tuple(dict.fromkeys(options.only)))
     if options.out is not None:
         prepared(options.out)
     found = run(parameters, over("run"))

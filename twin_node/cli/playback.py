@@ -19,7 +19,8 @@ def open_playback(
     width: int | None = None,
     rig: Path | None = None,
     with_images: bool = True,
-    remaps: Sequence[str] = (),
+    *,
+    remaps: Sequence[str],
 ) -> Iterator[Playback]:
     """The logs of a run, open; says what of them cannot be read: at once, or at the end where only reading told.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_remap, check_output, refuse_given, seed, whole, width
+from twin_node.cli.arguments import add_remap, check_output, refuse_given, seed, whole, width, with_given
 from twin_node.cli.ending import SIGNALS, ended_by
 
 if TYPE_CHECKING:
@@ -128,19 +128,21 @@ def _ended_between_steps() -> Iterator[Callable[[], int | None]]:
 
 def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
     """A new trainer, or the one of `--resume`; what the command line leaves out stays as it is."""
-    from dataclasses import replace
-
     from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
 
     if options.resume is not None:
         why = f"expected without --resume, which goes on as {options.resume} began"
         refuse_given(options, ("method", "seed", "gaussians"), why)
         return load_checkpoint(options.resume).resume(recording, options.steps, options.device)
-    given = {"method": options.method, "steps": options.steps, "seed": options.seed, "device": options.device}
-    parameters = replace(TrainParameters(), **{name: value for name, value in given.items() if value is not None})
-    if options.gaussians is not None:
-        start = min(parameters.start_gaussians, options.gaussians)
-        parameters = replace(parameters, most_gaussians=options.gaussians, start_gaussians=start)
+    parameters = with_given(
+        TrainParameters(),
+        method=options.method,
+        steps=options.steps,
+        seed=options.seed,
+        device=options.device,
+        most_gaussians=options.gaussians,
+        start_gaussians=options.gaussians and min(TrainParameters.start_gaussians, options.gaussians),
+    )
     return Trainer(recording, parameters)
 
 

@@ -22,7 +22,7 @@ def is_log(path: Path) -> bool:
 def read_recording(
     path: Path,
     options: ReadOptions,
-    parameters: SynchronizerParameters | None = None,
+    parameters: SynchronizerParameters,
     rig: Path | None = None,
     remaps: Mapping[str, str] | None = None,
 ) -> Recording:
@@ -39,6 +39,6 @@ def read_recording(
             raise ModelError(f"--remap: expected with a log; {path} is a data set, which has no topics")
         return read_folder(path, options)
     with LogSession(path, rig, remaps) as session:
-        chosen, widest = parameters or SynchronizerParameters(), max(camera.width for camera in session.rig.cameras)
-        source = LogSource(session, replace(chosen, width=min(chosen.width or widest, widest)))
+        widest = max(camera.width for camera in session.rig.cameras)
+        source = LogSource(session, replace(parameters, width=min(parameters.width or widest, widest)))
         return recording_of(str(path), source, options.hold_out or (), options.frames)

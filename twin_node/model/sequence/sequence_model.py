@@ -25,6 +25,11 @@ class Span:
     last: int
     """ns."""
 
+    def evenly(self, count: int) -> list[int]:
+        """At most `count` stamps, ns, from the first to the last; the first alone for one."""
+        length = self.last - self.first
+        return sorted({self.first + round(length * index / max(count - 1, 1)) for index in range(count)})
+
     def times(self, stamps: Sequence[int]) -> Tensor:
         """[T] stamps (ns) as -1 to 1, clamped: a field knows nothing outside. All 0 where the span is one instant."""
         length = self.last - self.first

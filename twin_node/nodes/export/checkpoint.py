@@ -30,8 +30,8 @@ class CheckpointSource:
         self._path = path
         checkpoint = load_checkpoint(path)
         self._model = checkpoint.model
-        self.steps = checkpoint.header.steps
-        """Sets of images that it was trained on."""
+        self.stamps = self._model.span.evenly(checkpoint.header.steps)
+        """As many times, ns, as it was trained on sets of images, evenly."""
         self.start_ns, self.end_ns = self._model.span.first, self._model.span.last
 
     def require(self, topic: str, purpose: str) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from twin_node.geometry import inverse_pose, pose, rotation_from_quat
 from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.colmap_files import check_whole
-from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
+from twin_node.model.sequence.readers.options import NO_PINHOLE, ReadOptions, load_image, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import ColouredPoints, Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, View
 
@@ -28,8 +28,6 @@ MODELS = ("sparse/0", "sparse_", "sparse")
 FRAME_NS = 1e9 / 30
 """Time between images, ns."""
 IMAGES = (".png", ".jpg", ".jpeg")
-NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
-"""In the names of models that are no pinholes even where all of their coefficients are 0."""
 
 
 def recognises(folder: Path) -> bool:

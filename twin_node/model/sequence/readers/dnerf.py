@@ -18,7 +18,7 @@ import numpy as np
 
 from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
-from twin_node.model.sequence.readers.options import ReadOptions, load_image, scaled_intrinsics, shrunk
+from twin_node.model.sequence.readers.options import NO_PINHOLE, ReadOptions, load_image, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, UInt8, View
 
@@ -26,8 +26,6 @@ TRAIN, TEST = "transforms_train.json", "transforms_test.json"
 WHITE = (1.0, 1.0, 1.0)
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """What other tools call coefficients of a lens."""
-NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
-"""In the names of camera models that are no pinholes even where all coefficients are 0."""
 DURATION_NS = 1_000_000_000
 """What the times 0 to 1 are taken for."""
 LATEST = 9e9

@@ -11,6 +11,9 @@ import numpy as np
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Float64, UInt8
 
+NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
+"""In the names of camera models that are no pinholes even where all of their coefficients are 0."""
+
 
 @dataclass(frozen=True)
 class ReadOptions:
