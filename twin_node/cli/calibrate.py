@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,10 +23,13 @@ from twin_node.cli.calibrate_hand_eye import add_hand_eye
 from twin_node.cli.calibrate_motion import add_refine, add_time
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.extrinsics import RigSolution
     from twin_node.rig.calibrate.intrinsics import DroppedView, LensCalibration
+    from twin_node.rig.calibrate.lenses import Lens
+    from twin_node.rig.calibrate.results import Residuals
 
 MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
 SHAPES = {"auto": None, "flat": False, "refined": True}
@@ -112,7 +114,7 @@ def _intrinsics(options: argparse.Namespace) -> None:
     if options.output is not None:
         save_camera_info(calibration.lens, options.output)
     if options.json:
-        print(json.dumps(_lens_figures(calibration, len(search.images))))
+        print(json_text(_lens_figures(calibration, len(search.images))))
         return
     _show_lens(calibration, len(search.images))
 
@@ -120,26 +122,38 @@ def _intrinsics(options: argparse.Namespace) -> None:
 def _lens_figures(calibration: LensCalibration, pictures: int) -> dict[str, object]:
     from twin_node.rig.calibrate.results import residuals_of_all
 
-    figures, lens = residuals_of_all(calibration.residuals), calibration.lens
     return {
-        "rms_px": figures.rms_px,
-        "median_reprojection_px": figures.median_px,
-        "mean_reprojection_px": figures.mean_px,
+        **_residual_figures(residuals_of_all(calibration.residuals)),
         "pictures": pictures,
         "views": len(calibration.views),
         "dropped": {view.name: view.reason for view in calibration.dropped},
-        "size": [lens.width, lens.height],
-        "K": lens.K.tolist(),
-        "distortion": {"model": lens.model, "coefficients": lens.D.tolist()},
+        "size": [calibration.lens.width, calibration.lens.height],
+        **_lens_entry(calibration.lens),
         "sigmas": calibration.sigmas.tolist(),
         "coverage": calibration.coverage.tolist(),
         "board_shape": calibration.board.as_json(),
     }
 
 
+def _residual_figures(residuals: Residuals) -> dict[str, object]:
+    return {
+        "median_reprojection_px": residuals.median_px,
+        "mean_reprojection_px": residuals.mean_px,
+        "rms_px": residuals.rms_px,
+    }
+
+
+def _lens_entry(lens: Lens) -> dict[str, object]:
+    """As rig files have it."""
+    return {"K": lens.K.tolist(), "distortion": {"model": lens.distortion_model, "coefficients": lens.D.tolist()}}
+
+
 def _show_lens(calibration: LensCalibration, pictures: int) -> None:
     lens = calibration.lens
-    print(f"{len(calibration.views)} views of {pictures} pictures, rms {calibration.rms_px:.3f} px, {lens.model}")
+    print(
+        f"{len(calibration.views)} views of {pictures} pictures, rms {calibration.rms_px:.3f} px, "
+        f"{lens.distortion_model}"
+    )
     names = ["fx", "fy", "cx", "cy", *(f"d{i}" for i in range(1, len(lens.D) + 1))]
     for name, value, sigma in zip(names, lens.parameters, calibration.sigmas, strict=True):
         print(f"  {name:>3} {value:12.5f} +- {sigma:.2g}")
@@ -181,7 +195,7 @@ def _rig(options: argparse.Namespace) -> None:
     write_rig(rig_file, options.output)
     figures = _rig_figures(solution)
     if options.json:
-        print(json.dumps(figures))
+        print(json_text(figures))
     else:
         _show_rig(figures, solution, options.output)
     warn(*left_open(rig_file))
@@ -206,19 +220,15 @@ def _rig_figures(solution: RigSolution) -> dict[str, Any]:
     )
 
     places = [place_sigma(covariance) for covariance in pose_covariances(solution, np.eye(4))]
-    all_cameras, state = residuals_of_all(solution.bundle.residuals), solution.bundle.state
+    state = solution.bundle.state
     poses, sigmas, clocks = camera_poses(state), agreement_sigmas(solution), clock_sigmas(solution)
     readouts, shape = readout_sigmas(solution), board_shape(solution.board.points, state.points)
     cameras = {}
     for i, name in enumerate(solution.names):
-        own = residuals_of(camera_residuals(solution, i))
         cameras[name] = {
-            "median_reprojection_px": own.median_px,
-            "mean_reprojection_px": own.mean_px,
-            "rms_px": own.rms_px,
+            **_residual_figures(residuals_of(camera_residuals(solution, i))),
             "views": sum(sighting.camera == i for sighting in solution.bundle.sightings),
-            "K": state.lenses[i].K.tolist(),
-            "distortion": {"model": state.lenses[i].model, "coefficients": state.lenses[i].D.tolist()},
+            **_lens_entry(state.lenses[i]),
             "T_rig_cam": poses[i].tolist(),
             "sigma_m": float(sigmas[i]),
             "place_sigma_m": places[i],
@@ -232,9 +242,7 @@ def _rig_figures(solution: RigSolution) -> dict[str, Any]:
             "stamp_jitter_s": float(solution.bundle.jitter_s[i]),
         }
     return {
-        "median_reprojection_px": all_cameras.median_px,
-        "mean_reprojection_px": all_cameras.mean_px,
-        "rms_px": all_cameras.rms_px,
+        **_residual_figures(residuals_of_all(solution.bundle.residuals)),
         "board": str(solution.board),
         "views": len(solution.bundle.sightings),
         "corners": sum(len(sighting.corners) for sighting in solution.bundle.sightings),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import add_remap, positive
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.rig.calibrate.boards import Board
@@ -99,7 +99,7 @@ def _check(options: argparse.Namespace) -> int:
         ]
         told = {"ok": not findings, "findings": findings, "untold": untold, "agreement": verdict.agreement}
         told["unseen"] = list(verdict.unseen)
-        print(json.dumps(told))
+        print(json_text(told))
     if verdict.findings:
         raise RigError(f"{options.rig}: {'; '.join(str(finding) for finding in verdict.findings)}")
     if not options.json:

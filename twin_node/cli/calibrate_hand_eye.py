@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import file_to_write
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.rig import RigFile
@@ -63,7 +63,7 @@ def _hand_eye(options: argparse.Namespace) -> None:
     if options.output:
         _save_hand_eye(result, options.output, together)
     if options.json:
-        print(json.dumps(_hand_eye_figures(result)))
+        print(json_text(_hand_eye_figures(result)))
         return
     carrier, other = ("flange", "base") if result.mount is Mount.CAMERA else ("base", "flange")
     print(f"reprojection: mean {result.mean_px:.3f}, median {result.median_px:.3f}, rms {result.rms_px:.3f} px")

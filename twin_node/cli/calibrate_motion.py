@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from statistics import median
@@ -14,6 +13,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import add_log, add_source_options, file_to_write, positive
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
+from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
     from twin_node.nodes.log_source import LogSession
@@ -92,7 +92,7 @@ def _refine(options: argparse.Namespace) -> None:
                 refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
     write_rig(refined, options.output)
     warn(*warnings)
-    print(json.dumps(figures) if options.json else "\n".join([*lines, str(options.output)]))
+    print(json_text(figures) if options.json else "\n".join([*lines, str(options.output)]))
 
 
 def _refined(evidence: CameraEvidence | None, pose_covariance: Float64) -> CameraEvidence:
@@ -128,7 +128,7 @@ def _time(options: argparse.Namespace) -> None:
         timed = _timed(options, session, _given(options, session.rig))
     if options.output:
         write_rig(timed.file, options.output)
-    print(json.dumps(timed.figures) if options.json else "\n".join(timed.lines))
+    print(json_text(timed.figures) if options.json else "\n".join(timed.lines))
 
 
 @dataclass(frozen=True)

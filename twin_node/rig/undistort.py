@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -161,7 +162,31 @@ def scaled_intrinsics(camera: RigCamera, width: int, height: int) -> Float64:
     return scaled
 
 
-def distort(camera: RigCamera, rays: Float64) -> Float64:
+class Optics(Protocol):
+    """What maps rays to the pixels of an image: a camera of a rig, or its lens alone."""
+
+    @property
+    def width(self) -> int:
+        """Of the image, pixels."""
+
+    @property
+    def height(self) -> int:
+        """Of the image, pixels."""
+
+    @property
+    def K(self) -> Float64:
+        """[3, 3] pixels, OpenCV convention."""
+
+    @property
+    def distortion_model(self) -> str:
+        """ROS name: plumb_bob, rational_polynomial or equidistant."""
+
+    @property
+    def D(self) -> Float64:
+        """Distortion coefficients in the model's own order."""
+
+
+def distort(camera: Optics, rays: Float64) -> Float64:
     """Raw image pixels [N, 2] (OpenCV convention) of rays (x/z, y/z) [N, 2] in the optical frame.
 
     Models: Brown-Conrady, that of `cv2.projectPoints`, for plumb_bob and rational_polynomial; Kannala-Brandt

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, Corners
-from twin_node.rig.calibrate.lenses import Lens, project, rays_of
+from twin_node.rig.calibrate.lenses import Lens, pixel_rays, project
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64, UInt8
 
@@ -87,14 +87,14 @@ def rays_of_all_pixels(width: int, height: int, model: str, parameters: tuple[fl
     """[width * height, 3] rays (x/z, y/z, 1), row by row, of a lens."""
     lens = Lens(width, height, np.eye(3), model, np.zeros(0)).with_parameters(np.array(parameters))
     v, u = np.mgrid[:height, :width].astype(np.float64)
-    rays = rays_of(lens, np.stack([u.ravel(), v.ravel()], axis=1))
+    rays = pixel_rays(lens, np.stack([u.ravel(), v.ravel()], axis=1))
     return np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
 
 
 def picture(board: Board, lens: Lens, T_cam_board: Float64, noise: float = 2.0) -> UInt8:
     """What a camera sees of a board in front of grey."""
     texture = blurred_texture_of(board)
-    rays = rays_of_all_pixels(lens.width, lens.height, lens.model, tuple(lens.parameters.tolist()))
+    rays = rays_of_all_pixels(lens.width, lens.height, lens.distortion_model, tuple(lens.parameters.tolist()))
     T = inverse_pose(T_cam_board)
     origin, directions = T[:3, 3], rays @ T[:3, :3].T
     on_board = origin + directions * (-origin[2] / directions[:, 2])[:, None]

@@ -153,7 +153,7 @@ def test_camera_info_is_read_back(tmp_path: Path) -> None:
     save_camera_info(lens, tmp_path / "left.yaml")
     again = load_camera_info(tmp_path / "left.yaml").lens
     np.testing.assert_array_equal(again.parameters, lens.parameters)
-    assert (again.width, again.height, again.model) == (640, 480, "equidistant")
+    assert (again.width, again.height, again.distortion_model) == (640, 480, "equidistant")
 
 
 def test_a_kalibr_chain_becomes_a_rig(tmp_path: Path) -> None:

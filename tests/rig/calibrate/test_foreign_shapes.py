@@ -56,7 +56,7 @@ def test_camera_info_of_a_driver_that_tells_no_distortion(tmp_path: Path) -> Non
     content["distortion_model"], content["distortion_coefficients"] = "", {"rows": 1, "cols": 0, "data": []}
     path.write_text(yaml.safe_dump(content))
     lens = load_camera_info(path).lens
-    assert (lens.model, lens.D.tolist()) == ("plumb_bob", [0.0] * 5)
+    assert (lens.distortion_model, lens.D.tolist()) == ("plumb_bob", [0.0] * 5)
 
 
 def test_images_numbered_alike_in_a_folder_per_camera_are_named_after_both(tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_a_rig_is_tied_to_the_robot_as_a_whole(tmp_path: Path, capsys: pytest.Ca
     X = a_session(tmp_path)
     beside = pose(Rotation.from_euler("y", -0.4).as_matrix(), np.array([0.5, 0.0, 0.1]))
     cameras = tuple(
-        RigCamera(name, LENS.width, LENS.height, LENS.K, T, LENS.model, LENS.D)
+        RigCamera(name, LENS.width, LENS.height, LENS.K, T, LENS.distortion_model, LENS.D)
         for name, T in (("left", np.eye(4)), ("right", beside))
     )
     save_rig(RigFile(Rig(cameras), frame="left_optical_frame"), tmp_path / "rig.yaml")

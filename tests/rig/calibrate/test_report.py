@@ -28,7 +28,9 @@ BOARD = Chessboard(6, 5, 0.05)
 @pytest.fixture
 def rig_file() -> RigFile:
     lens = a_lens()
-    cameras = tuple(RigCamera(f"cam{i}", 640, 480, lens.K, T, lens.model, lens.D) for i, T in enumerate(around(3)))
+    cameras = tuple(
+        RigCamera(f"cam{i}", 640, 480, lens.K, T, lens.distortion_model, lens.D) for i, T in enumerate(around(3))
+    )
     covariance = np.diag([4e-6, 1e-6, 9e-6, 1e-6, 1e-6, 1e-6])
     evidence = tuple(CameraEvidence(0.2, 0.1, 8, 240, covariance) for _ in cameras)
     return RigFile(Rig(cameras), date="2026-03-02", board=str(BOARD), evidence=evidence)

@@ -20,7 +20,7 @@ from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.contradictions import check_board
 from twin_node.rig.calibrate.extrinsics import RigOptions, RigSolution, calibrate_rig
 from twin_node.rig.calibrate.intrinsics import BoardView, calibrate_lens
-from twin_node.rig.calibrate.lenses import Lens, rays_of
+from twin_node.rig.calibrate.lenses import Lens, pixel_rays
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.results import (
     board_as_base,
@@ -249,7 +249,7 @@ def test_corners_at_a_fisheye_s_edge_are_used() -> None:
     ]
     found = [corners for camera in cameras for corners in camera.found if corners is not None and len(corners) > 5]
     solution = calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
-    assert max(float(np.abs(rays_of(lens, corners.pixels)).max()) for corners in found) > 2
+    assert max(float(np.abs(pixel_rays(lens, corners.pixels)).max()) for corners in found) > 2
     assert sum(len(s.corners) for s in solution.bundle.sightings) > 0.99 * sum(len(corners) for corners in found)
 
 

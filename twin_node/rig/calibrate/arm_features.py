@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.arm_motion import Film
+from twin_node.rig.calibrate.arm_surface import arm_surface
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import Bool, Float64, JointSample, UInt8
 
@@ -151,30 +152,17 @@ class _Features:
 
 
 class _Surface:
-    """Points all over the arm's capsules."""
+    """The arm's surface, and the features on it."""
 
     def __init__(self, arm: ArmModel) -> None:
-        capsules = arm.capsules
-        axis = capsules.ends[:, 1] - capsules.ends[:, 0]
-        axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
-        helper = np.where(np.abs(axis[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        side = np.cross(axis, helper)
-        side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
-        turns = np.arange(AROUND) * 2 * np.pi / AROUND
-        normals = np.cos(turns)[:, None, None] * side + np.sin(turns)[:, None, None] * np.cross(axis, side)
-        shares = np.linspace(0, 1, ALONG)[:, None, None, None]
-        spine = (1 - shares) * capsules.ends[:, 0] + shares * capsules.ends[:, 1]
-        points = spine + capsules.radii[:, None] * normals
-        self._points = points.reshape(-1, 3)
-        self._normals = np.broadcast_to(normals, points.shape).reshape(-1, 3)
-        self._links = np.broadcast_to(capsules.links, points.shape[:-1]).reshape(-1)
+        self._surface = arm_surface(arm.capsules, ALONG, AROUND)
 
     def features(self, film: Film, image: int, links: Float64) -> _Features:
         """Corners in an image that lie on the arm, whose links are at [J + 1, 4, 4]."""
-        camera, poses = film.camera, links[self._links]
-        placed = np.einsum("nij,nj->ni", poses[:, :3, :3], self._points) + poses[:, :3, 3]
+        camera, poses = film.camera, links[self._surface.links]
+        placed = np.einsum("nij,nj->ni", poses[:, :3, :3], self._surface.points) + poses[:, :3, 3]
         rays = placed - camera.T_base_cam[:3, 3]
-        facing = (rays * np.einsum("nij,nj->ni", poses[:, :3, :3], self._normals)).sum(1)
+        facing = (rays * np.einsum("nij,nj->ni", poses[:, :3, :3], self._surface.normals)).sum(1)
         local = placed @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         shown = (facing < FACING * np.linalg.norm(rays, axis=1)) & (local[:, 2] > 0.05)
         pixels = local[shown, :2] / local[shown, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
@@ -187,7 +175,7 @@ class _Surface:
         depths = np.where(distances < NEAR_PX, local[shown, 2], np.inf)
         near = np.isfinite(depths).any(1)
         nearest = depths[near].argmin(1)
-        own, depth = self._links[shown][nearest], local[shown, 2][nearest]
+        own, depth = self._surface.links[shown][nearest], local[shown, 2][nearest]
         seen = np.concatenate([(at[near] - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(depth), 1))], 1)
         base = (seen * depth[:, None]) @ camera.T_base_cam[:3, :3].T + camera.T_base_cam[:3, 3]
         back = inverse_pose(links)[own]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from twin_node.geometry import inverse_pose
+from twin_node.rig.calibrate.arm_surface import arm_surface
 from twin_node.rig.calibrate.shifts import Costs
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.scene import Camera, Float32, Float64, JointSample, UInt8
@@ -136,20 +137,9 @@ def _texture(image: UInt8) -> Float32:
 
 
 def _course(arm: ArmModel, start: int, angles: Float64) -> _Course:
-    """Points on the capsules at joint angles [G, J]."""
-    capsules = arm.capsules
-    points, normals, links = [], [], []
-    for (low, high), radius, link in zip(capsules.ends, capsules.radii, capsules.links, strict=True):
-        axis = (high - low) / max(float(np.linalg.norm(high - low)), 1e-9)
-        side = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
-        side /= max(float(np.linalg.norm(side)), 1e-9)
-        for turn in np.arange(AROUND) * 2 * np.pi / AROUND:
-            normal = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
-            for share in np.linspace(0, 1, ALONG):
-                points.append(low + share * (high - low) + radius * normal)
-                normals.append(normal)
-                links.append(int(link))
-    poses = forward_kinematics(arm, angles)[:, links]
-    turned = np.einsum("gnij,nj->gni", poses[..., :3, :3], np.array(normals))
-    placed = np.einsum("gnij,nj->gni", poses[..., :3, :3], np.array(points)) + poses[..., :3, 3]
+    """The surface at joint angles [G, J]."""
+    surface = arm_surface(arm.capsules, ALONG, AROUND)
+    poses = forward_kinematics(arm, angles)[:, surface.links]
+    turned = np.einsum("gnij,nj->gni", poses[..., :3, :3], surface.normals)
+    placed = np.einsum("gnij,nj->gni", poses[..., :3, :3], surface.points) + poses[..., :3, 3]
     return _Course(start, placed.astype(np.float32), turned.astype(np.float32))

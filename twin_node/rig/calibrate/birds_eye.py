@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import in_view, pixel_rays, raw_pixels
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float32, Float64, RigCamera
@@ -142,7 +142,5 @@ def _seen_elsewhere(points: Float64, cameras: Sequence[RigCamera], own: int) -> 
     for i, camera in enumerate(cameras):
         if i != own and there.any():
             local = transform(inverse_pose(camera.T_base_cam), points[there])
-            u, v = raw_pixels(camera, local).T
-            inside = (local[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-            seen[np.flatnonzero(there)[inside]] = True
+            seen[np.flatnonzero(there)[in_view(camera, local)]] = True
     return seen

@@ -37,7 +37,7 @@ def save_camera_info(lens: Lens, path: Path) -> None:
         "image_height": lens.height,
         "camera_name": path.stem,
         "camera_matrix": _matrix(lens.K),
-        "distortion_model": lens.model,
+        "distortion_model": lens.distortion_model,
         "distortion_coefficients": _matrix(lens.D[None]),
         "rectification_matrix": _matrix(np.eye(3)),
         "projection_matrix": _matrix(P),

@@ -14,7 +14,7 @@ from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleRe
 from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
 from twin_node.rig.calibrate.contradictions import check_board, check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
-from twin_node.rig.calibrate.lenses import Lens, rays_of
+from twin_node.rig.calibrate.lenses import Lens, pixel_rays
 from twin_node.rig.calibrate.pose_graph import islands
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.steadiness import check_steady
@@ -172,7 +172,7 @@ def _cleaned(board: Board, lens: Lens, corners: Corners | None) -> Corners | Non
     """The corners that lie on one plane (RANSAC); None where most do not: interpolation would spread what is wrong."""
     if corners is None or len(corners) < MIN_CORNERS:
         return None
-    flat = _seen_straight(rays_of(lens, corners.pixels)) * lens.K[0, 0]
+    flat = _seen_straight(pixel_rays(lens, corners.pixels)) * lens.K[0, 0]
     _, mask = cv2.findHomography(
         board.points[corners.ids, :2], flat, cv2.RANSAC, MISREAD_SHARE * lens.width, maxIters=DRAWS
     )

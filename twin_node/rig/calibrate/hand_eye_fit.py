@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from twin_node.rig.calibrate.hand_eye_start import Loop, Stops, closed_form, offsets, seen_points
-from twin_node.rig.calibrate.lenses import BEHIND_M, lens_of, project
+from twin_node.rig.calibrate.lenses import BEHIND_M, project
 from twin_node.rig.calibrate.rotations import cross_matrix, moved, turning
 from twin_node.scene import Float64, RigCamera
 
@@ -105,7 +105,7 @@ class HandEyeFit:
         loop, scale, carried = self._loop(x), self._scale(x), self._stops.carried
         back, turned = loop.X[:3, :3].T, np.tile(self._target @ loop.Y[:3, :3].T, (len(carried), 1))
         points = seen_points(self._target * scale, self._stops, loop).reshape(-1, 3)
-        projection = project(lens_of(self._lens(x)), points)
+        projection = project(self._lens(x), points)
         by_point = projection.by_point.copy()
         by_point[points[:, 2] <= BEHIND_M, :, 2] = 0  # they stay at that depth
         by_camera = by_point @ back  # by the point's place in what carries the camera

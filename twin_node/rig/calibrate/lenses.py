@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from twin_node.rig.rig_checks import DISTORTION_LENGTHS
-from twin_node.rig.undistort import distort
+from twin_node.rig.undistort import Optics, distort
 from twin_node.scene import Bool, Float64, RigCamera
 
 COEFFICIENTS = {model: max(lengths) for model, lengths in DISTORTION_LENGTHS.items()}
@@ -51,7 +51,7 @@ class Lens:
     height: int
     K: Float64
     """[3, 3] pixels, OpenCV convention."""
-    model: str
+    distortion_model: str
     """ROS name: plumb_bob, rational_polynomial or equidistant."""
     D: Float64
     """Distortion coefficients in the model's own order."""
@@ -65,7 +65,7 @@ class Lens:
         """The lens with other `parameters`."""
         fx, fy, cx, cy = values[:4]
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        return Lens(self.width, self.height, K, self.model, np.array(values[4:]))
+        return Lens(self.width, self.height, K, self.distortion_model, np.array(values[4:]))
 
     def priors(self) -> Float64:
         """[3 + D] what a lens hardly is, in sigmas: oblong pixels, off centre, strongly distorted."""
@@ -86,7 +86,7 @@ class Lens:
     @property
     def _distortion_sigmas(self) -> Float64:
         """[D] those of `DISTORTION_SIGMAS`: a rig file may leave out the last coefficients."""
-        return np.array(DISTORTION_SIGMAS[self.model][: len(self.D)])
+        return np.array(DISTORTION_SIGMAS[self.distortion_model][: len(self.D)])
 
     @property
     def _middle(self) -> Float64:
@@ -110,7 +110,7 @@ def lens_of(camera: RigCamera) -> Lens:
     return Lens(camera.width, camera.height, camera.K, camera.distortion_model, camera.D)
 
 
-def project(lens: Lens, points: Float64) -> Projection:
+def project(lens: Optics, points: Float64) -> Projection:
     """Where a lens sees points [N, 3] m of its optical frame.
 
     What lies behind it is taken to `BEHIND_M` before it, far off the image, so that solvers stay finite.
@@ -119,7 +119,7 @@ def project(lens: Lens, points: Float64) -> Projection:
     if not count:  # OpenCV gives nothing of the shape asked for
         return Projection(np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros((0, 2, 4 + len(lens.D))))
     before = np.concatenate([points[:, :2], np.maximum(points[:, 2:], BEHIND_M)], axis=1)[:, None]
-    if lens.model == "equidistant":
+    if lens.distortion_model == "equidistant":
         pixels, J = cv2.fisheye.projectPoints(before, NO_TURN, NO_TURN, lens.K, lens.D)
         J = np.asarray(J, dtype=np.float64).reshape(count, 2, -1)
         # Order of the columns: f (2), c (2), k (4), rotation, translation, skew.
@@ -131,7 +131,7 @@ def project(lens: Lens, points: Float64) -> Projection:
     return Projection(np.asarray(pixels, np.float64).reshape(-1, 2), by_point, by_lens)
 
 
-def in_view(lens: Lens, points: Float64) -> Bool:
+def in_view(lens: Optics, points: Float64) -> Bool:
     """[N] which points [N, 3] m of the optical frame are in a lens's image.
 
     Far outside its field of view a distortion's polynomial turns back, and what it puts into the image is not there.
@@ -141,29 +141,27 @@ def in_view(lens: Lens, points: Float64) -> Bool:
         (points[:, 2] > BEHIND_M) & (pixels > -0.5).all(1) & (pixels < (lens.width - 0.5, lens.height - 0.5)).all(1)
     )
     rays = np.zeros((len(points), 2))
-    rays[inside] = rays_of(lens, pixels[inside])
+    rays[inside] = pixel_rays(lens, pixels[inside])
     off = np.abs(rays * points[:, 2:] - points[:, :2]).max(axis=1, initial=0)
     return np.asarray(inside & (off <= SAME_RAY * points[:, 2]))
 
 
-def rays_of(lens: Lens, pixels: Float64) -> Float64:
-    """Directions (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2]."""
+def pixel_rays(lens: Optics, pixels: Float64) -> Float64:
+    """Rays (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2] (OpenCV convention); undoes `distort`.
+
+    Where a distortion's polynomial cannot be undone, as in the corners of some wide lenses, they are others, or NaN.
+    """
     if not len(pixels):
         return np.zeros((0, 2))
     shaped = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
-    if lens.model == "equidistant":
-        rays = cv2.fisheye.undistortPoints(shaped, lens.K, lens.D)
+    if lens.distortion_model == "equidistant":
+        rays = cv2.fisheye.undistortPoints(shaped, lens.K, lens.D, criteria=INVERSION_STOP)
     else:
         rays = cv2.undistortPointsIter(shaped, lens.K, lens.D, np.eye(3), np.eye(3), INVERSION_STOP)
     return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
 
 
-def pixel_rays(camera: RigCamera, pixels: Float64) -> Float64:
-    """Rays (x/z, y/z) [N, 2] in the optical frame of raw pixels [N, 2] (OpenCV convention); undoes `distort`."""
-    return rays_of(lens_of(camera), pixels)
-
-
-def raw_pixels(camera: RigCamera, points: Float64) -> Float64:
+def raw_pixels(camera: Optics, points: Float64) -> Float64:
     """Raw pixels [N, 2] (OpenCV convention) of points [N, 3] m in the optical frame; far off the image behind it."""
     if not len(points):
         return np.zeros((0, 2))

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.birds_eye import plane_hits
-from twin_node.rig.calibrate.lenses import BEHIND_M, lens_of, pixel_rays, project
+from twin_node.rig.calibrate.lenses import BEHIND_M, pixel_rays, project
 from twin_node.rig.calibrate.matches import NOWHERE_M
 from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.scene import Float64, RigCamera
@@ -43,7 +43,7 @@ def transfer_slopes(a: RigCamera, b: RigCamera, plane: Float64, pixels_a: Float6
     slide = np.where(there[..., None], np.eye(3), 0.0) - along[:, :, None] * plane[:3]
     depth = np.linalg.norm(hits - a.T_base_cam[:3, 3], axis=1) / np.linalg.norm(g, axis=1)
     local = transform(inverse_pose(b.T_base_cam), hits)
-    projection = project(lens_of(b), local)
+    projection = project(b, local)
     before = np.array([1.0, 1.0, 0.0]) + (local[:, 2:] > BEHIND_M) * np.array([0.0, 0.0, 1.0])
     by_hit = projection.by_point * before[:, None] @ R_b.T
     by_centre = by_hit @ slide
@@ -83,7 +83,7 @@ def epipolar_slopes(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Flo
 def _rays(camera: RigCamera, pixels: Float64) -> tuple[Float64, Float64]:
     """Rays [n, 2] of raw pixels, and their derivatives [n, 2, 4 + D] by the lens's parameters."""
     rays = pixel_rays(camera, pixels)
-    projection = project(lens_of(camera), np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
+    projection = project(camera, np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
     return rays, np.asarray(-np.linalg.solve(projection.by_point[..., :2], projection.by_lens), np.float64)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lenses import Lens, lens_of, raw_pixels
+from twin_node.rig.calibrate.lenses import in_view
 from twin_node.rig.calibrate.mistakes import RATIOS, UNITS_M, Finding, Mistake
 from twin_node.rig.rig_checks import OUT_OF_SIGHT, TELLING_SPREAD, aims_off
+from twin_node.rig.undistort import Optics
 from twin_node.rig.workspace import axes_focus, axes_spread
 from twin_node.scene import Float64, Rig, RigCamera
 
@@ -55,10 +56,10 @@ class Objections:
         return None
 
 
-def view_objection(lens: Lens) -> str | None:
+def view_objection(lens: Optics) -> str | None:
     """What was expected of a lens's horizontal field of view and what was found; None where a cell's may have it."""
     view = 2 * np.arctan(lens.width / 2 / abs(lens.K[0, 0]))
-    if lens.model == "equidistant" or NARROWEST < view < WIDEST:
+    if lens.distortion_model == "equidistant" or NARROWEST < view < WIDEST:
         return None
     return (
         f"expected a field of view from {np.degrees(NARROWEST):.0f} to {np.degrees(WIDEST):.0f} degrees, found "
@@ -99,7 +100,7 @@ def _lens_objection(camera: RigCamera) -> Finding | None:
             f"({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}); K seems to be of {size[0]:.0f}x{size[1]:.0f}: scale it",
             Mistake.RESOLUTION,
         )
-    objection = view_objection(lens_of(camera))
+    objection = view_objection(camera)
     return None if objection is None else Finding(camera.name, f"{objection}; is K of another resolution?")
 
 
@@ -119,6 +120,4 @@ def _likely_unit(reach: float) -> str:
 def _seen_share(camera: RigCamera, workspace: Float64) -> float:
     """Share of a workspace [2, 3] that falls into a camera's image."""
     points = transform(inverse_pose(camera.T_base_cam), workspace[0] + GRID * (workspace[1] - workspace[0]))
-    pixels = raw_pixels(camera, points)
-    seen = (points[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-    return float(seen.mean())
+    return float(in_view(camera, points).mean())

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import Sighting
-from twin_node.rig.calibrate.lenses import Lens, rays_of
+from twin_node.rig.calibrate.lenses import Lens, pixel_rays
 from twin_node.scene import Float64
 
 
@@ -31,7 +31,7 @@ def board_pose(lens: Lens, points: Float64, pixels: Float64) -> Float64 | None:
 
     Infinitesimal plane-based pose (Collins and Bartoli, IJCV 2014), then least squares; None where there is none.
     """
-    rays = np.ascontiguousarray(rays_of(lens, pixels)[:, None])
+    rays = np.ascontiguousarray(pixel_rays(lens, pixels)[:, None])
     found, rotations, translations, _ = cv2.solvePnPGeneric(
         points[:, None], rays, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
     )

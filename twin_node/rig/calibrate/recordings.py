@@ -66,9 +66,7 @@ Progress = Callable[[], object]
 """Called after each picture."""
 
 
-def find_in_pictures(
-    board: Board, pictures: Iterator[Picture], source: str, progress: Progress | None = None
-) -> BoardSearch:
+def find_in_pictures(board: Board, pictures: Iterator[Picture], source: str, progress: Progress | None) -> BoardSearch:
     """Looks for the board in every picture.
 
     `source` is named in errors. Raises `RigError` where there is no picture or their sizes differ.
@@ -92,7 +90,7 @@ def find_in_pictures(
     return BoardSearch(size, tuple(images), tuple(found))
 
 
-def pictures_of(paths: Sequence[Path], every: int = 1) -> Iterator[Picture]:
+def pictures_of(paths: Sequence[Path], every: int) -> Iterator[Picture]:
     """The pictures of images, videos and folders of them, every so many.
 
     Raises `RigError` for what is none of these or cannot be read.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import inverse_pose, looking_at, pose
 from twin_node.rig.calibrate.board_prints import BoardPrint, draw_board
 from twin_node.rig.calibrate.boards import CharucoBoard
-from twin_node.rig.calibrate.lenses import lens_of, rays_of
+from twin_node.rig.calibrate.lenses import pixel_rays
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile, save_rig
 from twin_node.scene import Float32, Float64, Rig, RigCamera, UInt8
@@ -146,7 +146,7 @@ def _film(
     grain = rng.normal(0, NOISE, (HEIGHT + GRAIN_PX, WIDTH + GRAIN_PX)).astype(np.float32)
     preview: UInt8 = np.zeros((HEIGHT // 2, WIDTH // 2), np.uint8)
     v, u = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    flat = rays_of(lens_of(camera), np.column_stack([u.ravel(), v.ravel()]))
+    flat = pixel_rays(camera, np.column_stack([u.ravel(), v.ravel()]))
     rays: Float32 = flat.reshape(HEIGHT, WIDTH, 2).astype(np.float32)
     for second in times:
         image = _picture(rays, inverse_pose(camera.T_base_cam) @ _course(float(second)), sheet, drawing)

@@ -92,7 +92,7 @@ def rig_file_of(solution: RigSolution, T_base_rig: Float64 | None = None) -> Rig
                 lens.height,
                 lens.K,
                 to_base @ poses[i],
-                lens.model,
+                lens.distortion_model,
                 lens.D,
                 float(sigmas[i]),
                 round(float(state.clocks[i, 0]) * 1e9),

@@ -82,7 +82,7 @@ class BoardViews:
 
     def pose(self, lens: Lens, corners: Corners) -> Float64 | None:
         """[4, 4] board to optical frame; None where there is none."""
-        key = (id(corners), lens.model, lens.parameters.tobytes())
+        key = (id(corners), lens.distortion_model, lens.parameters.tobytes())
         if key not in self._known:
             self._known[key] = corners, board_pose(lens, self._points[corners.ids], corners.pixels)
         return self._known[key][1]
@@ -169,7 +169,7 @@ class _Eyes:
             T = self.T_cam_base[sighting.camera] @ start
             turned = self.points[sighting.corners.ids] @ rotation.T
             local = transform(T, turned + step[3:])
-            seen = project(lens_of(self.cameras[sighting.camera]), local)
+            seen = project(self.cameras[sighting.camera], local)
             by_step = np.concatenate([-cross_matrix(turned) @ back, np.broadcast_to(np.eye(3), (len(turned), 3, 3))], 2)
             told = (np.abs(sighting.corners.pixels - seen.pixels) < BEHIND_PX) & (local[:, 2:] > 0)
             slopes.append(np.where(told[:, :, None], -seen.by_point @ T[:3, :3] @ by_step, 0.0))

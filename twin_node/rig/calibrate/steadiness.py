@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import BundleResult
 from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
-from twin_node.rig.calibrate.lenses import Lens, project, rays_of
+from twin_node.rig.calibrate.lenses import Lens, pixel_rays, project
 from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, Witnesses
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float64
@@ -159,7 +159,7 @@ def _place_of_most(lens: Lens, points: Float64, pixels: Float64, tolerance_px: f
     """[4, 4] from where a camera sees most of the points [N, 3] (m) at pixels [N, 2] (RANSAC); None: from nowhere."""
     found, rotation, translation, _ = cv2.solvePnPRansac(
         points,
-        rays_of(lens, pixels)[:, None],
+        pixel_rays(lens, pixels)[:, None],
         np.eye(3),
         np.zeros(4),
         reprojectionError=tolerance_px / lens.K[0, 0],

@@ -5,22 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.rig.calibrate.lenses import pixel_rays
 from twin_node.rig.undistort import distort
 from twin_node.scene import Bool, Float32, Float64, RigCamera
 
 RATIONAL_COEFFICIENTS, FISHEYE_COEFFICIENTS = 8, 4
 """Of the 14 coefficients in OpenCV's order that a device stores, those that ROS's rational_polynomial and equidistant
 have."""
-_ITERATIONS, _CLOSE = 50, 1e-8
-"""After which, and at which distance of rays, a pixel's ray is taken to be found."""
 _NOWHERE = 1e3
 """A ray (x/z) that no pixel has."""
 _FOUND_PX = 0.5
-"""And it is, if it comes back so near to its pixel: in the corners of a wide lens some have none."""
+"""A pixel's ray is found if it comes back so near to it: in the corners of a wide lens some have none."""
 
 
 @dataclass(frozen=True)
@@ -80,17 +78,13 @@ def _is_bent(frame: Any, unless_told: bool) -> bool:
 def _places(lens: FactoryCalibration, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Bool]:
     """Per pixel of the image as it comes [H, W]: the flat index of it in the image without distortion, if in there."""
     height, width = shape
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 1, 2).astype(np.float64)
-    enough = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ITERATIONS, _CLOSE)
-    if lens.is_fisheye:
-        rays = cv2.fisheye.undistortPoints(pixels, lens.K, lens.D, criteria=enough)
-    else:
-        rays = cv2.undistortPointsIter(pixels, lens.K, lens.D, np.eye(3), np.eye(3), enough)
-    rays = np.asarray(np.nan_to_num(rays, nan=_NOWHERE), dtype=np.float64).reshape(-1, 2)
+    model = "equidistant" if lens.is_fisheye else "rational_polynomial"
+    camera = RigCamera("oak", width, height, lens.K, np.eye(4), model, lens.D)
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2).astype(np.float64)
+    rays = np.nan_to_num(pixel_rays(camera, pixels), nan=_NOWHERE)
     column, row = np.rint(rays * lens.K[[0, 1], [0, 1]] + lens.K[:2, 2]).reshape(height, width, 2).transpose(2, 0, 1)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    model = "equidistant" if lens.is_fisheye else "rational_polynomial"
-    again = distort(RigCamera("oak", width, height, lens.K, np.eye(4), model, lens.D), rays)
-    inside &= (np.abs(again - pixels.reshape(-1, 2)).max(axis=1) < _FOUND_PX).reshape(height, width)
+    again = distort(camera, rays)
+    inside &= (np.abs(again - pixels).max(axis=1) < _FOUND_PX).reshape(height, width)
     places = np.where(inside, row * width + column, 0).astype(np.int64)
     return places, np.asarray(inside)

@@ -24,7 +24,13 @@ def import_camera_info(path: Path, unit: float = 1.0) -> RigFile:
         lens = info.lens
         cameras.append(
             foreign_camera(
-                str(file), file.stem, (lens.width, lens.height), lens.K, _pose(info, unit), lens.model, lens.D
+                str(file),
+                file.stem,
+                (lens.width, lens.height),
+                lens.K,
+                _pose(info, unit),
+                lens.distortion_model,
+                lens.D,
             )
         )
     return foreign_rig(str(path), cameras, "rectified_optical_frame", NOTES)
