@@ -11,7 +11,7 @@ from twin_node.bench.graph_hops import HopFigures
 from twin_node.bench.graph_network import NetworkFigures
 from twin_node.bench.graph_recorder import KilledFigures, RecorderFigures
 from twin_node.bench.graph_run import Percentiles
-from twin_node.bench.text_table import text_table
+from twin_node.bench.text_table import percent, text_table
 
 Figures = (
     LatencyFigures
@@ -39,14 +39,14 @@ def _rows(part: str, figures: Figures) -> Iterator[Sequence[str]]:
         case HopFigures():
             yield from _hops(part, figures)
         case IdleFigures():
-            yield f"{part}: share of one core", _percent(figures.core_share)
-            yield from (("  " + name, _percent(share)) for name, share in figures.by_process)
+            yield f"{part}: share of one core", percent(figures.core_share)
+            yield from (("  " + name, percent(share)) for name, share in figures.by_process)
         case KillFigures():
             yield from _kills(part, figures)
         case RecorderFigures():
             yield f"{part}: {figures.seconds:.0f} s", "sent", "written", "dropped", "MB/s", "of a core"
             counts = (str(count) for count in (figures.sent, figures.written, figures.dropped))
-            yield "  messages", *counts, f"{figures.megabytes_per_s:.1f}", _percent(figures.core_share)
+            yield "  messages", *counts, f"{figures.megabytes_per_s:.1f}", percent(figures.core_share)
         case KilledFigures():
             yield f"{part}: {figures.kills} recorders", "opened", "lost s"
             yield "  files; the most that one lost", str(figures.opened), _seconds(figures.lost_s_max)
@@ -87,7 +87,7 @@ def _network(part: str, figures: NetworkFigures) -> Iterator[Sequence[str]]:
     yield "    from the last message until slow", *map(_seconds, (figures.slow_after_s_median, figures.slow_after_s))
     yield "    until stopped", *map(_seconds, (figures.stopped_after_s_median, figures.stopped_after_s))
     yield "    from the link's return until moving", "", _seconds(figures.resumes_after_s)
-    yield (f"  before cuts: slow by loss alone {_percent(figures.slow_share)} of the time",)
+    yield (f"  before cuts: slow by loss alone {percent(figures.slow_share)} of the time",)
     yield (f"    age of evidence: p50 {figures.age_ms_p50:.1f} ms, p99 {figures.age_ms_p99:.1f} ms",)
     yield (f"  decisions out of order: {figures.out_of_order}",)
 
@@ -109,7 +109,3 @@ def _percentiles(found: Percentiles) -> tuple[str, ...]:
 
 def _seconds(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "never"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"

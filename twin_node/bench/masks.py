@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.bench.mask_scores import MaskFigures, MaskTally, PixelKinds, compare, figures_of
 from twin_node.bench.mask_truth import MovingParts
-from twin_node.bench.text_table import markdown_table
+from twin_node.bench.text_table import markdown_table, percent
 from twin_node.cell import CellSource, Scenario
 from twin_node.model import MovingMask, SeedParameters
 from twin_node.model.balance import balance
@@ -94,9 +94,9 @@ class MasksBench:
         return (
             self.scenario.name,
             *(_pixels(pixels) for pixels in (found.moving_px, found.missed_px)),
-            _percent(found.missed_share),
+            percent(found.missed_share),
             *(_pixels(pixels) for pixels in (found.missed_rested_px, found.missed_waiting_px, found.false_px)),
-            *(_percent(share) for share in (found.false_share, found.false_lasting_share)),
+            *(percent(share) for share in (found.false_share, found.false_lasting_share)),
         )
 
 
@@ -180,7 +180,3 @@ def _run_seed(
 
 def _pixels(pixels: float | None) -> str:
     return "" if pixels is None else f"{pixels:.0f}"
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f} %"

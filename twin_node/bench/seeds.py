@@ -10,7 +10,7 @@ import numpy as np
 from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
-from twin_node.bench.text_table import markdown_table
+from twin_node.bench.text_table import markdown_table, percent
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
 from twin_node.forecast.comparison import Score
@@ -69,7 +69,7 @@ class SeedsBench:
             "" if litres is None else f"{litres:.0f} l",
             *self.whole.cells,
             *("" if late is None else f"{late:.0f} ms" for late in (space.get("vacated_free_ms_p95"),)),
-            _percent(space.get("unseen_not_free")),
+            percent(space.get("unseen_not_free")),
         )
 
 
@@ -115,7 +115,7 @@ class SeedScores:
     def cells(self) -> tuple[str, ...]:
         """Recall, the same with what stands, recall of new space and volume ratio for the table."""
         ratio = "" if self.volume_ratio is None else f"{self.volume_ratio:.2f}"
-        return (*(_percent(self.ours.get(name)) for name in ("recall", "recall_held", "recall_new")), ratio)
+        return (*(percent(self.ours.get(name)) for name in ("recall", "recall_held", "recall_new")), ratio)
 
     @property
     def _equal_recall_l(self) -> float | None:
@@ -131,10 +131,6 @@ HEADINGS = (
     *("whole things: recall", "with what stands", "of new space", "of equal recall"),
     *("vacated free, p95", "unseen not free"),
 )
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{100 * share:.1f} %"
 
 
 def table(benches: Iterable[SeedsBench]) -> str:

@@ -28,3 +28,8 @@ def figure(value: float | int | None) -> str:
     if isinstance(value, int):
         return str(value)
     return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def percent(share: float | None) -> str:
+    """A share as a cell; empty where there is none."""
+    return "" if share is None else f"{100 * share:.1f} %"
