@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import threading
 from pathlib import Path
@@ -29,6 +30,37 @@ def test_a_process_is_started_where_its_log_cannot_be_kept(tmp_path: Path, log: 
     child._process.wait(WAIT_S)
     assert child.status == REFUSED
     assert (tmp_path / log).exists() or "no log is kept" in said[0]
+
+
+class Loading:
+    """A process that has not loaded its nodes yet."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.stdin, self.pid, self.is_killed = io.BytesIO(), 1, False
+
+    def kill(self) -> None:
+        self.is_killed = True
+
+    def poll(self) -> int | None:
+        return -9 if self.is_killed else None
+
+    def wait(self, timeout: float | None = None) -> int:
+        if timeout is not None and not self.is_killed:
+            raise AssertionError("it is waited for")
+        return 0
+
+
+def test_what_still_loads_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C took five seconds for each process that was loading torch; none of them held anything yet."""
+    monkeypatch.setattr(child_module.subprocess, "Popen", Loading)
+    order = Order(("twin",), {}, False, False, {}, {}, "test.yaml")
+    child = Child("twin", order, tmp_path / "twin.log", lambda: None, lambda line: None)
+    child.configure()
+    assert b"configure" not in child._process.stdin.getvalue(), "else it might open devices while it is killed"
+    child.stop()
+    assert child._process.is_killed
+    child._on_loaded()
+    assert b"configure" not in child._process.stdin.getvalue()
 
 
 def test_why_a_process_has_ended_is_heard_before_it_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,6 +71,18 @@ def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> Non
     assert len(said) == 1 and said[0].startswith("size small: ")
 
 
+def test_a_trial_ends_when_its_twin_is_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C waited for all sizes, and a launcher kills what takes longer than five seconds."""
+    said: list[str] = []
+    followed: list[int] = []
+    update = WindowModel.update
+    monkeypatch.setattr(WindowModel, "update", lambda self, one: followed.append(one.stamp) or update(self, one))
+    one = Trial(MODEL, ForecastParameters(), None, GRID, 1e6, said.append, lambda: len(followed) == 3)
+    assert [one.take(frames(index)) for index in range(TRIED_SETS)] == [None] * TRIED_SETS
+    assert followed == [0, 1, 2]
+    assert not said
+
+
 @pytest.mark.parametrize(("width", "tried"), [(48, ["tiny"]), (100, ["tiny", "small"])])
 def test_sizes_wider_than_the_images_are_not_tried(width: int, tried: list[str]) -> None:
     said: list[str] = []

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -84,14 +86,19 @@ class Trial:
         grid: Grid,
         budget_ms: float,
         say: Callable[[str], None],
+        is_ending: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`model`: what a size does not say; `say(line)` tells the user."""
+        """`model`: what a size does not say; `say(line)` tells the user.
+
+        `is_ending()`: whether the twin is to end, and nobody wants to know any more.
+        """
         self._model = model
         self._forecast = forecast
         self._arm = arm
         self._grid = grid
         self._budget_ms = budget_ms
         self._say = say
+        self._is_ending = is_ending
         self._sets: list[FrameSet] = []
         self._tried: dict[str, Sized] = {}
 
@@ -106,6 +113,8 @@ class Trial:
         widest = max(view.camera.width for view in frames.views)
         names = [name for name, size in SIZES.items() if size.width <= widest]
         choice = best_within(self._budget_ms, names or list(SIZES)[:1], self._timed_ms)
+        if self._is_ending():
+            return None  # what it found is of a few sets, or none
         self._say(choice.reason)
         return self._tried[choice.size]
 
@@ -113,6 +122,6 @@ class Trial:
         size = SIZES[name]
         one = self._tried[name] = Sized(WindowModel(size.model(self._model), arm=self._arm), Narrower(size.width))
         forecaster = Forecaster(self._grid, self._forecast, self._arm)
-        spent = median_ms((one.narrower.narrowed(frames) for frames in self._sets), one.model, forecaster)
-        assert spent is not None, "there are TRIED_SETS of them"
-        return spent
+        sets = takewhile(lambda _: not self._is_ending(), self._sets)
+        spent = median_ms((one.narrower.narrowed(frames) for frames in sets), one.model, forecaster)
+        return math.inf if spent is None else spent

@@ -176,6 +176,11 @@ class Executor:
         called = self._called
         return 0.0 if called is None else time.monotonic() - called
 
+    @property
+    def is_stopped(self) -> bool:
+        """Whether it was told to stop: a callback that takes seconds does well to look. From any thread."""
+        return self._stopped
+
     def inbox(
         self, callback: Callable[[Any], None], depth: int, patience: float = 0.0, most_bytes: float = math.inf
     ) -> Inbox:

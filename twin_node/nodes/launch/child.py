@@ -42,6 +42,9 @@ class Child:
         """What it failed of, as far as it could say."""
         self.has_pulsed = False
         """Whether it has told that it does not hang since this was last made false."""
+        self._lock = threading.Lock()
+        self._is_wanted = False
+        """Whether it is to make its nodes as soon as it has loaded them: till then it holds nothing."""
         self._on_news = on_news
         self._on_word = on_word
         read_fd, write_fd = os.pipe()
@@ -79,8 +82,11 @@ class Child:
         self._listener.join(LAST_WORDS_S)
 
     def configure(self) -> None:
-        """Lets it make its nodes."""
-        self._say("configure")
+        """Lets its nodes join the graph, once it has loaded them."""
+        with self._lock:
+            self._is_wanted = True
+            if self.is_loaded:
+                self._say("configure")
 
     def activate(self) -> None:
         """Lets its nodes begin."""
@@ -88,7 +94,12 @@ class Child:
         self._say("activate")
 
     def stop(self) -> None:
-        """Leads its nodes through deactivate and cleanup; kills it where that takes too long."""
+        """Leads its nodes through deactivate and cleanup; kills it where that takes too long, or there are none yet."""
+        with self._lock:
+            self._is_wanted = False
+            if not self.is_loaded:
+                self.discard()
+                return
         if self._process.stdin is not None and not self._process.stdin.closed:
             with contextlib.suppress(BrokenPipeError):  # it has gone by itself
                 self._process.stdin.close()
@@ -119,7 +130,7 @@ class Child:
             for line in events:
                 event = json.loads(line)
                 if event["event"] == "loaded":
-                    self.is_loaded = True
+                    self._on_loaded()
                 elif event["event"] == "configured":
                     self.is_configured = True
                 elif event["event"] == "pulse":
@@ -132,6 +143,12 @@ class Child:
                 self._on_news()
         self._process.wait()
         self._on_news()
+
+    def _on_loaded(self) -> None:
+        with self._lock:
+            self.is_loaded = True
+            if self._is_wanted:
+                self._say("configure")
 
 
 def _opened(log: Path, on_word: Callable[[str], None]) -> BinaryIO:

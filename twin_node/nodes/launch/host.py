@@ -82,7 +82,8 @@ def _obey(graph: Any) -> None:
 
 def _is_told_to_stop(events: Any) -> threading.Event:
     """Set when the launcher closes this process's input."""
-    _say(events, event="configured")
+    for reached in ("loaded", "configured"):
+        _say(events, event=reached)
     told = threading.Event()
 
     def wait() -> None:

@@ -84,6 +84,7 @@ class NodeThread:
             self._wire.endpoints,
             self._say,
             Path(self._order.kept) if self._order.kept else None,
+            lambda: self._executor.is_stopped,
         )
         self._node = find_factory(self.name)(setup)
 

@@ -44,6 +44,8 @@ class Setup:
     kept: Path | None = None
     """Folder in which a node leaves what the node of another process has to know that takes its place in this launch;
     None: none does."""
+    is_ending: Callable[[], bool] = lambda: False
+    """Whether the node is to end as soon as what it does now is done."""
 
     def parameters(self, kind: type[T], section: str | None = None) -> T:
         """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.

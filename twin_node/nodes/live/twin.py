@@ -33,6 +33,7 @@ class TwinNode(Node):
             dropped=lambda: bus.dropped(FRAMES),
             say=setup.say,
             kept=setup.kept,
+            is_ending=setup.is_ending,
         )
 
     def on_configure(self) -> None:
