@@ -15,7 +15,8 @@ from twin_node.nodes.topics import FRAMES, kind_of
 from twin_node.rig import RigFile, save_rig
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
-from twin_node.runtime.qos import TopicKind
+from twin_node.runtime.qos import Qos, TopicKind
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import FrameSet, Rig, RigCamera
@@ -34,11 +35,13 @@ class Graph:
         self.wire, self.executor, self.said = LocalWire(), Executor(), list[str]()
         rig = {"file": str(folder / "rig.yaml"), "image": "rgb/image_raw", "depth": "stereo/image_raw"}
         self.sets: list[FrameSet] = []
+        self.graph: tuple[Endpoint, ...] = ()
         bus, clock = WireBus(self.wire, self.executor, "synchronizer", kind_of), SystemClock()
         bus.subscribe(FRAMES, self.sets.append)
         sections = {"/**": {"rig": rig}}
         setup = Setup(
-            *("synchronizer", bus, clock, self.executor, sections, "test", lambda: None, lambda: ()), self.said.append
+            *("synchronizer", bus, clock, self.executor, sections, "test", lambda: None, lambda: self.graph),
+            self.said.append,
         )
         self.node = make_synchronizer(setup)
         self.node.configure()
@@ -50,11 +53,15 @@ class Graph:
         while self.executor.step(0.0):
             pass
 
-    def depth(self) -> np.ndarray:
-        """Of one set: the camera measured at each pixel what column that is in."""
+    def tell(self) -> None:
+        """One set: the camera measured at each pixel what column that is in."""
         self.stamp += 1_000_000
         self.send("/oak/stereo/image_raw", convert.depth_image("oak", self.stamp, COLUMNS))
         self.send("/oak/rgb/image_raw", convert.raw_image("oak", self.stamp, np.zeros((48, 64, 3), np.uint8)))
+
+    def depth(self) -> np.ndarray:
+        """How far the depth of one set is from the column that it is in, px."""
+        self.tell()
         (view,) = self.sets.pop().views
         assert view.depth is not None
         return view.depth[4:-4, 4:-4] - COLUMNS[4:-4, 4:-4]
@@ -83,3 +90,23 @@ def test_depth_that_is_not_aligned_is_told(tmp_path: Path) -> None:
     (line,) = graph.said
     assert line.startswith("camera 'oak': expected depth aligned with its colour image") and "/oak/stereo" in line
     np.testing.assert_array_equal(graph.depth(), before)
+
+
+@pytest.mark.parametrize("patience_ns", [10**18, 0])
+def test_no_set_comes_before_the_lens_of_its_depth_where_that_is_about_to_be_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_ns: int
+) -> None:
+    """The first set is what stands: with depth of the wrong lens its corners were things that moved for 20 s."""
+    monkeypatch.setattr("twin_node.nodes.live.depth_lenses.PATIENCE_NS", patience_ns)
+    graph = Graph(tmp_path)
+    driver, info = NodeIdentity("1", 1, "oak"), "sensor_msgs/msg/CameraInfo"
+    graph.graph = tuple(
+        Endpoint(EntityKind.PUBLISHER, driver, k, f"/oak/{of}/camera_info", info, "RIHS01_0", Qos())
+        for k, of in enumerate(("rgb", "stereo"))
+    )
+    graph.tell()
+    graph.send("/oak/rgb/camera_info", convert.camera_info(LENS, graph.stamp))
+    graph.tell()
+    assert len(graph.sets) == (0 if patience_ns else 2), "who never tells it is not waited for any longer"
+    graph.send("/oak/stereo/camera_info", convert.camera_info(replace(LENS, D=STRAIGHT), graph.stamp))
+    assert np.abs(graph.depth()).max() < 1.1

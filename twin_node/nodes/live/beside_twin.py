@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from twin_node.arm.ur import DriverMode, UrParameters
 from twin_node.nodes.arm import Driving, make_arm_node
+from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.nodes.live.depth_lenses import DepthLenses
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
@@ -41,11 +42,15 @@ class LiveSynchronizerNode(SynchronizerNode):
         )
         told = {camera.name for camera in source.rig.cameras if camera.depth_lens is not None}
         untold = [camera for camera in source.cameras if camera.name not in told]
-        self._lenses = DepthLenses(setup.bus, untold, self.see_depth_by, setup.say)
+        self._lenses = DepthLenses(setup.bus, untold, self.see_depth_by, setup.say, setup.endpoints)
 
     def on_configure(self) -> None:
         super().on_configure()
         self._lenses.listen()
+
+    def _add(self, name: str, view: EncodedView) -> None:
+        if not self._lenses.is_awaited(name, self.clock.now()):
+            super()._add(name, view)
 
 
 def make_arm(setup: Setup) -> Node:
