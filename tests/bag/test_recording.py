@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import multiprocessing
 import os
 import re
 import resource
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +18,7 @@ from typing import Any, Literal
 import pytest
 from made_recordings import STEP, STRING, fill, stamps_of, text
 from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -67,6 +70,24 @@ def test_topics_of_any_name_may_be_latched(tmp_path: Path) -> None:
         assert [topic.name for topic in log.topics if topic.latched] == ["/map", "/tf_static"]
     with open_log(tmp_path / "run" / "run_1.mcap") as log:
         assert [m.message.data for m in log.messages(["/map"])] == ["where walls are"]
+
+
+def test_nothing_of_finished_files_stays_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The index of their chunks stayed: a recorder that ran for days in files of a minute grew by the day."""
+    alive: list[weakref.ref[McapWriter]] = []
+
+    class Watched(McapWriter):
+        def __init__(self, *told: Any, **more: Any) -> None:
+            super().__init__(*told, **more)
+            alive.append(weakref.ref(self))
+
+    monkeypatch.setattr(recording, "Writer", Watched)
+    writer = RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0))
+    fill(writer, 30)
+    gc.collect()
+    assert [one() is not None for one in alive] == [False, False, True]
+    assert writer.messages == 29 + 3
+    writer.close()
 
 
 def test_a_folder_is_split_by_size(tmp_path: Path) -> None:
@@ -253,7 +274,10 @@ def test_a_next_file_that_cannot_be_begun_ends_the_recording_and_leaves_the_rest
     with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
         writer.write("/a", STRING, text("one too many"), 20 * STEP, builtin_types())
     monkeypatch.undo()
-    writer.close()
+    monkeypatch.setattr(Path, "write_text", lambda path, *_, **__: path.touch() or refuse())
+    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
+        writer.close()
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["metadata.yaml", "run_0.mcap"]
     assert stamps_of(tmp_path / "run") == [i * STEP for i in range(1, 9)]
     with open_log(tmp_path / "run") as log:
         assert log.damage is None

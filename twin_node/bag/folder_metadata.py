@@ -52,7 +52,11 @@ def write_metadata(
     """
     new = folder / f"{METADATA_FILE}.new"
     content = {"rosbag2_bagfile_information": _information(files, topics, records)}
-    new.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    try:
+        new.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    except OSError:
+        new.unlink(missing_ok=True)  # of a disk that is full: half of it, or nothing
+        raise
     new.replace(folder / METADATA_FILE)
 
 

@@ -55,16 +55,22 @@ class _Channel:
 
 @dataclass
 class _File:
-    """One file of a recording, open."""
+    """What is known of one file of a recording."""
 
     path: Path
+    counts: dict[str, int] = field(default_factory=dict)
+    start: int | None = None
+    end: int = 0
+
+
+@dataclass
+class _Open:
+    """What else the file has that is written; it goes with its end: an index of all chunks of days fills a memory."""
+
     stream: BinaryIO
     writer: Writer
     channels: dict[str, int] = field(default_factory=dict)
     schemas: dict[str, int] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    start: int | None = None
-    end: int = 0
     bytes: int = 0
     repeated: int = 0
     """Of those, what other files had too: a limit below it would begin a file for every message."""
@@ -95,6 +101,7 @@ class RecordingWriter:
         self._kept: dict[str, list[bytes]] = {}
         """What the next file begins with."""
         self._files: list[_File] = []
+        self._open: _Open | None = None
         self._disk = DiskSync()
         self._flushed_at = time.monotonic()
         self._is_closed = False
@@ -159,7 +166,7 @@ class RecordingWriter:
                 for name, messages in self._kept.items():
                     for kept in messages:
                         self._put(self._channels[name], kept, stamp)
-                self._files[-1].repeated = self._files[-1].bytes
+                self._now_open.repeated = self._now_open.bytes
             self._put(channel, data, stamp)
             if channel.is_latched:
                 self._kept[topic] = kept_with(self._kept.get(topic, ()), topic, bytes(data))
@@ -173,7 +180,7 @@ class RecordingWriter:
         if now - self._flushed_at >= FLUSH_S:
             self._flushed_at = now
             try:
-                self._files[-1].writer.flush()
+                self._now_open.writer.flush()
                 self._disk.ask(self._files[-1].path)
                 self._check_is_there()
             except OSError as error:
@@ -181,7 +188,7 @@ class RecordingWriter:
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Adds a record of strings to the file that is being written."""
-        self._files[-1].writer.add_metadata(name, dict(record))
+        self._now_open.writer.add_metadata(name, dict(record))
 
     def close(self) -> None:
         """Finishes the last file and writes the folder's metadata; a second call does nothing."""
@@ -201,9 +208,10 @@ class RecordingWriter:
     def discard(self) -> None:
         """Ends the recording and takes it away: nobody wanted it."""
         self._is_closed = True
-        for file in self._files:
+        if self._open is not None:
             with contextlib.suppress(OSError):  # what waits for the disk is not wanted either
-                file.stream.close()
+                self._open.stream.close()
+        for file in self._files:
             file.path.unlink(missing_ok=True)
         if self.path.suffix != ".mcap":
             (self.path / METADATA_FILE).unlink(missing_ok=True)
@@ -216,6 +224,11 @@ class RecordingWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def _now_open(self) -> _Open:
+        assert self._open is not None, "a recording that has ended takes nothing more"
+        return self._open
+
     def _begin_file(self) -> None:
         path = self.path
         if path.suffix != ".mcap":
@@ -224,7 +237,8 @@ class RecordingWriter:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
         writer.start(PROFILE, RECORDER)
         stream.flush()  # before the metadata names it: an empty file is no log
-        self._files.append(_File(path, stream, writer))
+        self._files.append(_File(path))
+        self._open = _Open(stream, writer)
         self._disk.ask(path.parent)
         self._write_metadata()
 
@@ -239,44 +253,44 @@ class RecordingWriter:
 
     def _end_file(self) -> None:
         """Finishes the last file, unless it was the next one that could not be begun."""
-        file = self._files[-1]
-        if file.stream.closed:
+        ended, self._open = self._open, None
+        if ended is None:
             return
         try:
-            file.writer.finish()
+            ended.writer.finish()
         finally:
-            file.stream.close()
-        self._disk.ask(file.path)
+            ended.stream.close()
+        self._disk.ask(self._files[-1].path)
 
     def _check_is_there(self) -> None:
         """Raises `OSError` where somebody has taken away what is written: nothing else would, and it is lost."""
         self._files[-1].path.stat()
 
     def _is_full(self, stamp: int) -> bool:
-        file = self._files[-1]
-        if self.path.suffix == ".mcap" or file.start is None:
+        start, now_open = self._files[-1].start, self._now_open
+        if self.path.suffix == ".mcap" or start is None:
             return False
-        too_big = 0 < self._split.max_size_mb * 1e6 <= file.bytes - file.repeated
-        return too_big or 0 < self._split.max_duration_s * 1e9 <= stamp - file.start
+        too_big = 0 < self._split.max_size_mb * 1e6 <= now_open.bytes - now_open.repeated
+        return too_big or 0 < self._split.max_duration_s * 1e9 <= stamp - start
 
     def _put(self, channel: _Channel, data: bytes | memoryview, stamp: int) -> None:
-        file = self._files[-1]
-        if channel.name not in file.channels:
-            if channel.msgtype not in file.schemas:
+        file, now_open = self._files[-1], self._now_open
+        if channel.name not in now_open.channels:
+            if channel.msgtype not in now_open.schemas:
                 text = channel.definition.encode()
-                file.schemas[channel.msgtype] = file.writer.register_schema(channel.msgtype, "ros2msg", text)
+                now_open.schemas[channel.msgtype] = now_open.writer.register_schema(channel.msgtype, "ros2msg", text)
             qos = {
                 "offered_qos_profiles": offered_qos_profiles(channel.is_latched),
                 "topic_type_hash": channel.type_hash,
             }
-            schema = file.schemas[channel.msgtype]
-            file.channels[channel.name] = file.writer.register_channel(channel.name, "cdr", schema, qos)
+            schema = now_open.schemas[channel.msgtype]
+            now_open.channels[channel.name] = now_open.writer.register_channel(channel.name, "cdr", schema, qos)
         count = file.counts.get(channel.name, 0)
-        file.writer.add_message(file.channels[channel.name], stamp, bytes(data), stamp, count)
+        now_open.writer.add_message(now_open.channels[channel.name], stamp, bytes(data), stamp, count)
         file.counts[channel.name] = count + 1
         file.start = stamp if file.start is None else min(file.start, stamp)
         file.end = max(file.end, stamp)
-        file.bytes += len(data)
+        now_open.bytes += len(data)
 
     def _topic(self, name: str) -> FolderTopic:
         channel = self._channels[name]
