@@ -136,6 +136,21 @@ def test_what_a_slow_disk_has_cost_is_told(tmp_path: Path, monkeypatch: pytest.M
     studio.end()
 
 
+def test_messages_are_of_the_time_at_which_they_came(tmp_path: Path) -> None:
+    """What waited for a slow disk was told to have come seconds late, all at once: a replay took that for true."""
+    clock = FollowedClock()
+    studio = Studio(tmp_path / "run.mcap", clock)
+    for second in range(3):
+        clock.set(LOG_START + second * 10**9)
+        studio.hear_at_once(convert.diagnostics_to_message(second, []))
+    clock.set(LOG_START + 9 * 10**9)
+    for _ in range(3):
+        studio.step()
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [(entry.stamp - LOG_START) // 10**9 for entry in log.messages()] == [0, 1, 2]
+
+
 @pytest.mark.parametrize("name", ["run", "run.mcap"])
 def test_nothing_stays_of_a_graph_that_never_began(tmp_path: Path, name: str) -> None:
     """Of a launch that was refused: its next try would find the output's name taken, and record under another."""

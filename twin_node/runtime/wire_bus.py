@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from twin_node.errors import TwinError
+from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Executor, Inbox
 from twin_node.runtime.qos import KindOf, TopicKind
-from twin_node.runtime.wire import Cancel, Encoded, Send, Wire, encoded
+from twin_node.runtime.wire import Cancel, Encoded, Send, Sink, Wire, encoded
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,20 @@ class Traffic:
 
 class BusError(TwinError):
     """A topic is to be used of which nobody has said what it carries."""
+
+
+class _Timed:
+    """A message on its way to its callback, and when it came, ns."""
+
+    __slots__ = ("message", "stamp")
+
+    def __init__(self, message: Any, stamp: int) -> None:
+        self.message, self.stamp = message, stamp
+
+    @property
+    def data(self) -> Any:
+        """By its size the inbox counts it."""
+        return getattr(self.message, "data", None)
 
 
 class _Subscription:
@@ -125,6 +140,20 @@ class WireBus:
         """Call `callback(encoded)` for every message on `topic`, undecoded."""
         self._subscribe(topic, callback, raw=True)
 
+    def subscribe_timed(self, topic: str, callback: Callable[[Encoded, int], None], clock: Clock) -> None:
+        """Call `callback(encoded, stamp)` for every message on `topic`, undecoded.
+
+        `stamp`: when it came, ns by `clock`, which any thread may ask; it may have waited for its callback since.
+        """
+
+        def call(timed: _Timed) -> None:
+            callback(encoded(timed.message), timed.stamp)
+
+        def timed(offer: Sink) -> Sink:
+            return lambda message: offer(_Timed(message, clock.now()))
+
+        self._subscribe(topic, call, raw=False, to=timed)
+
     def dropped(self, topic: str) -> int:
         """Messages on `topic` that newer ones replaced before a callback of this bus had time for them."""
         return sum(inbox.dropped for subscription, inbox in self._subscriptions if subscription.topic == topic)
@@ -148,12 +177,15 @@ class WireBus:
         for subscription, _ in self._subscriptions:
             subscription.is_closed = True
 
-    def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
+    def _subscribe(
+        self, topic: str, callback: Callable[[Any], None], raw: bool, to: Callable[[Sink], Sink] = lambda offer: offer
+    ) -> None:
+        """`to(offer)`: what takes messages from the wire and offers them to the inbox, in any thread."""
         kind = self._kind(topic)
         subscription = _Subscription(topic, callback, raw)
         inbox = self._executor.inbox(subscription, kind.qos.depth, kind.qos.patience, kind.qos.most_bytes)
         self._subscriptions.append((subscription, inbox))
-        self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, inbox.offer))
+        self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, to(inbox.offer)))
 
     def _kind(self, topic: str) -> TopicKind:
         kind = self._known(topic)

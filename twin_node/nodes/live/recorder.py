@@ -134,7 +134,7 @@ class LiveRecorderNode(Node):
         self._added[topic] = kind.msgtype
         qos = replace(EVERY, latched=kind.qos.latched)
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
-        self._bus.subscribe_raw(topic, partial(self._write, self._bus.resolved(topic), qos.latched))
+        self._bus.subscribe_timed(topic, partial(self._write, self._bus.resolved(topic), qos.latched), self.clock)
 
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
@@ -195,8 +195,8 @@ class LiveRecorderNode(Node):
     def _too_slow(self) -> str:
         return f"the disk is too slow: {self._lost} messages were lost; record fewer topics, or to another disk"
 
-    def _write(self, topic: str, latched: bool, message: Encoded) -> None:
-        now = self.clock.now()
+    def _write(self, topic: str, latched: bool, message: Encoded, now: int) -> None:
+        """`now`: when it came, ns; a disk that was slow to take what came before does not make it later."""
         if now <= 0:
             if latched:
                 self._early.append((topic, message))
