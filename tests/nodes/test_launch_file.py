@@ -228,6 +228,7 @@ def test_topics_of_all_nodes_are_renamed(small: Path) -> None:
         ("/joint_states:=/ur#1/q", "without blanks, empty parts and any of *$?#%, found '/ur#1/q'"),
         ("/joint_states:=/a//b", "without blanks, empty parts and any of *$?#%, found '/a//b'"),
         ("/joint_states:=/", "without blanks, empty parts and any of *$?#%, found '/'"),
+        ("/tf:=/twin/status", "expected a name for tf2_msgs/msg/TFMessage alone, found that of /twin/status"),
         ("/joint_states:=my joints", "without blanks, empty parts and any of *$?#%, found 'my joints'"),
     ],
 )

@@ -150,7 +150,10 @@ def is_topic_name(topic: str) -> bool:
 
 
 def check_remaps(remaps: Mapping[str, str]) -> None:
-    """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names."""
+    """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names.
+
+    So it does where topics of two types would have one name.
+    """
     known = [topic for topic, kind in _MESSAGE_TYPES.items() if kind.msgtype is not None]
     for topic in remaps:
         kind = kind_of(topic)
@@ -158,6 +161,13 @@ def check_remaps(remaps: Mapping[str, str]) -> None:
             near = difflib.get_close_matches(topic, known, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known))}"
             raise GraphError(f"--remap {topic}:={remaps[topic]}: no node has the topic {topic}; {hint}")
+        for other in {*known, *remaps}:
+            also = kind_of(other)
+            if also is not None and also.msgtype != kind.msgtype and remaps.get(other, other) == remaps[topic]:
+                raise GraphError(
+                    f"--remap {topic}:={remaps[topic]}: expected a name for {kind.msgtype} alone, found that of "
+                    f"{other} ({also.msgtype}); choose another, or rename that, too"
+                )
 
 
 def kind_of(topic: str) -> TopicKind | None:
