@@ -269,6 +269,7 @@ def test_random_damage_is_never_silent(tmp_path: Path, whole: Path, data: st.Dat
         (b"\x89MCAP0\r\n", "no message could be read"),
         (b"SQLite format 3\x00 and nothing else", "not a readable rosbag2 SQLite file"),
         (b"#ROSBAG V2.0\n", "found a bag of ROS 1; convert it: rosbags-convert --src"),
+        (b'\x40\0\0\0\0\0\0\0{"means":{}}', "found a model; make a log of it: twin_node import model"),
     ],
 )
 def test_what_is_no_log_is_refused(tmp_path: Path, content: bytes, words: str) -> None:

@@ -25,6 +25,8 @@ from twin_node.yaml_file import YAML_ERRORS, parse_yaml, yaml_reason
 
 ROS1_MAGIC = b"#ROSBAG V"
 """What a bag of ROS 1 begins with."""
+SAFETENSORS_HEADER = b'{"'
+"""What a model's file goes on with after eight bytes, which say how long this is."""
 
 
 class LogReader:
@@ -379,5 +381,7 @@ def _open_file(path: Path) -> Storage:
         raise BagError(
             f"{path}: expected a log of ROS 2, found a bag of ROS 1; convert it: rosbags-convert --src {path} --dst OUT"
         )
+    if head[8:].startswith(SAFETENSORS_HEADER):
+        raise BagError(f"{path}: expected a log, found a model; make a log of it: twin_node import model {path} -o OUT")
     found = f"a file that begins with {head[:8]!r}" if head else "an empty file"
     raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")

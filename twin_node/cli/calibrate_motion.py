@@ -34,7 +34,13 @@ PLANE_WIDTH = 320
 
 def add_refine(kinds: Any) -> None:
     """Adds `calibrate refine`."""
-    parser = kinds.add_parser("refine", help="better extrinsics from an ordinary recording, without a board")
+    parser = kinds.add_parser(
+        "refine",
+        help="better extrinsics from an ordinary recording, without a board",
+        description="Better extrinsics from an ordinary recording, without a board. Of a rig that runs record half a "
+        "minute first ('twin_node record -a -o cell.mcap' beside the launch), and launch it anew with the file written "
+        "here (rig:=RIG.yaml).",
+    )
     add_log(parser)
     parser.add_argument(
         "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
