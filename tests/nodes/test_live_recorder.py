@@ -151,6 +151,36 @@ def test_messages_are_of_the_time_at_which_they_came(tmp_path: Path) -> None:
         assert [(entry.stamp - LOG_START) // 10**9 for entry in log.messages()] == [0, 1, 2]
 
 
+class SetClock:
+    """A computer's, which somebody sets."""
+
+    def __init__(self) -> None:
+        self.stamp = LOG_START
+
+    def now(self) -> int:
+        return self.stamp
+
+
+@pytest.mark.parametrize(("name", "second"), [("run", "run_r1"), ("run.mcap", "run_r1.mcap")])
+def test_a_clock_that_is_put_back_begins_another_recording(tmp_path: Path, name: str, second: str) -> None:
+    """In one log what came before and after stood between each other, and a replay saw two times at once."""
+    clock = SetClock()
+    studio = Studio(tmp_path / name, clock, tells=True)
+    rig = Rig((RigCamera("front", 16, 12, np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]]), np.eye(4)),))
+    studio.hear(TF_STATIC, convert.tf_static(rig, 0))
+    for step_s in (1, 1, -5, 1, 1):
+        clock.stamp += step_s * 10**9
+        studio.hear_diagnostics()
+    studio.end()
+    assert "time was put back by 5.0 s" in studio.said[0] and studio.said[0].endswith(second)
+    assert f"{name}: 3 messages of 2 topics" in studio.said[1] and f"{second}: 4 messages" in studio.said[2]
+    for path, times in ((name, [0, 1, 2]), (second, [-3, -3, -2, -1])):
+        with open_log(tmp_path / path) as log:
+            heard = list(log.messages())
+        assert [(entry.stamp - LOG_START) // 10**9 for entry in heard] == times
+        assert heard[0].topic == TF_STATIC, "each is whole"
+
+
 @pytest.mark.parametrize("name", ["run", "run.mcap"])
 def test_nothing_stays_of_a_graph_that_never_began(tmp_path: Path, name: str) -> None:
     """Of a launch that was refused: its next try would find the output's name taken, and record under another."""

@@ -163,10 +163,7 @@ class RecordingWriter:
             if self._is_full(stamp):
                 self._end_file()
                 self._begin_file()
-                for name, messages in self._kept.items():
-                    for kept in messages:
-                        self._put(self._channels[name], kept, stamp)
-                self._now_open.repeated = self._now_open.bytes
+                self._repeat_latched(stamp)
             self._put(channel, data, stamp)
             if channel.is_latched:
                 self._kept[topic] = kept_with(self._kept.get(topic, ()), topic, bytes(data))
@@ -205,6 +202,21 @@ class RecordingWriter:
         except OSError as error:
             raise self._refused(error) from None
 
+    def followed_by(self, path: Path, stamp: int) -> RecordingWriter:
+        """Ends this recording; another one like it, which begins at log time `stamp`, ns, with what was latched here.
+
+        Raises `BagError` as the constructor.
+        """
+        self.close()
+        other = RecordingWriter(path, self._split, self._compression.name.lower())
+        other._channels = {name: self._channels[name] for name in self._kept}
+        other._kept = self._kept
+        try:
+            other._repeat_latched(stamp)
+        except OSError as error:
+            raise other._refused(error) from None
+        return other
+
     def discard(self) -> None:
         """Ends the recording and takes it away: nobody wanted it."""
         self._is_closed = True
@@ -241,6 +253,12 @@ class RecordingWriter:
         self._open = _Open(stream, writer)
         self._disk.ask(path.parent)
         self._write_metadata()
+
+    def _repeat_latched(self, stamp: int) -> None:
+        for name, messages in self._kept.items():
+            for kept in messages:
+                self._put(self._channels[name], kept, stamp)
+        self._now_open.repeated = self._now_open.bytes
 
     def _write_metadata(self) -> None:
         """Of a folder: it names all files from the first moment on, so that an interrupted recording opens too."""

@@ -25,6 +25,9 @@ SILENCE_S = 3.0
 """By then a graph that runs is known: what nobody publishes is told."""
 EARLY_KEPT = 100
 """Latched messages that are kept until time begins, the newest: some for each camera of any rig."""
+PUT_BACK_NS = 1_000_000_000
+"""A message that came so long before the one before it tells of a clock that was put back, ns; by less the threads that
+take messages may overtake each other on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class LiveRecorderNode(Node):
         self._has_begun = False
         self._has_told_of_loss = False
         self._error: BagError | None = None
+        self._newest = 0
+        """When the newest message came, ns."""
 
     def on_configure(self) -> None:
         """Raises `BagError` where the output cannot be begun.
@@ -206,12 +211,25 @@ class LiveRecorderNode(Node):
         self._put(topic, message, now, latched)
 
     def _put(self, topic: str, message: Encoded, stamp: int, latched: bool) -> None:
-        if self._writer is None:
-            return
         try:
+            if self._writer is not None and self._newest - stamp > PUT_BACK_NS:
+                self._writer = self._begun_anew(self._writer, stamp)
+            self._newest = stamp
+            if self._writer is None:
+                return
             self._writer.write(topic, message.msgtype, message.data, stamp, message.types, latched)
         except BagError as error:
             self._fail(error)
+
+    def _begun_anew(self, writer: RecordingWriter, stamp: int) -> RecordingWriter:
+        """A recording beside the one that a clock was put back in: in one log what comes now would stand in between."""
+        path = _unused(Path(self._parameters.output))
+        self._say(
+            f"time was put back by {(self._newest - stamp) / 1e9:.1f} s: what comes from now on is recorded into {path}"
+        )
+        if self._parameters.tells:
+            self._say(self._summary(writer))
+        return writer.followed_by(path, stamp)
 
     def _flush(self) -> None:
         if self._writer is None:
