@@ -15,7 +15,7 @@ import yaml
 
 from twin_node.messages import header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
-from twin_node.nodes.live.cameras import CamerasNode
+from twin_node.nodes.live.cameras import CamerasNode, make_cameras
 from twin_node.nodes.live.cell import CellNode, CellParameters
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
@@ -138,6 +138,31 @@ def test_a_source_that_fails_ends_its_process(kind: str, monkeypatch: pytest.Mon
     node.deactivate()
     with pytest.raises(RuntimeError, match="cannot go on"):
         node.cleanup()
+
+
+@pytest.mark.parametrize(
+    ("addresses", "told"),
+    [
+        (("0", "2"), ["'cam_left' at 0, 'cam_back' at 2"]),
+        (("0", "/dev/v4l/by-path/b"), []),
+        (("rtsp://a", "b.avi"), []),
+    ],
+)
+def test_usb_cameras_that_may_change_places_are_told(addresses: tuple[str, str], told: list[str]) -> None:
+    """The computer starts anew, and what one camera sees is put where the other one looks, in silence."""
+    said: list[str] = []
+    wire, executor = LocalWire(), Executor()
+    bus = WireBus(wire, executor, "cameras", kind_of)
+    names = zip(("cam_left", "cam_back"), addresses, strict=True)
+    listed = {"opencv": [{"name": name, "address": address} for name, address in names], "rig": {"scenario": "demo"}}
+    setup = Setup(
+        *("cameras", bus, SystemClock(), executor, {"cameras": listed}, "test", lambda: None, wire.endpoints),
+        say=said.append,
+    )
+    node = make_cameras(setup)
+    assert not said, "a spare is made as well"
+    node.configure()
+    assert [line.split(":")[0] for line in said] == [f"cameras {names}" for names in told]
 
 
 def test_a_controller_that_fails_ends_its_process(monkeypatch: pytest.MonkeyPatch) -> None:

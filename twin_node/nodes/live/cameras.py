@@ -35,7 +35,7 @@ def make_cameras(setup: Setup) -> Node:
     if bool(parameters.oak) == bool(parameters.opencv):
         raise GraphError(f"{setup.where}: {setup.name}: expected cameras under 'oak' or under 'opencv'")
     source: ImageSource = OakSource(parameters.oak) if parameters.oak else OpenCvSource(parameters.opencv)
-    return CamerasNode(setup, source, parameters.rig)
+    return CamerasNode(setup, source, parameters.rig, _unsure(parameters.opencv))
 
 
 class CamerasNode(Node):
@@ -44,8 +44,10 @@ class CamerasNode(Node):
     Raises `GraphError` for a camera that the rig file does not know.
     """
 
-    def __init__(self, setup: Setup, source: ImageSource, rig: RigParameters) -> None:
+    def __init__(self, setup: Setup, source: ImageSource, rig: RigParameters, doubt: str | None = None) -> None:
+        """`doubt`: what is told to the user of how the cameras are named."""
         super().__init__(setup.name, setup.bus, setup.clock)
+        self._say, self._told = setup.say, doubt
         self._source = source
         self._rig_parameters = rig
         self._rig = read_rig(rig).rig
@@ -57,6 +59,10 @@ class CamerasNode(Node):
                 f"{', '.join(self._cameras)}; name it as there, or calibrate it"
             )
         self._thread = OwnThread("cameras", self._publish_all, setup.finish)
+
+    def on_configure(self) -> None:
+        if self._told is not None:
+            self._say(self._told)
 
     def on_activate(self) -> None:
         publish_calibration(self.bus, self._rig, self.clock.now())
@@ -94,6 +100,18 @@ class CamerasNode(Node):
         if topics.depth is not None and image.depth is not None:
             depth = depth_message(topics, image.stamp, image.depth)
         publish_image(self.bus, topics, self._cameras[image.camera], image.stamp, image.rgb, depth)
+
+
+def _unsure(cameras: tuple[OpenCvCamera, ...]) -> str | None:
+    """What speaks against telling several USB cameras by their numbers; None where that is not done."""
+    numbered = [camera for camera in cameras if camera.address.isdecimal()]
+    if len(numbered) < 2:
+        return None
+    named = ", ".join(f"'{camera.name}' at {camera.address}" for camera in numbered)
+    return (
+        f"cameras {named}: numbers of USB cameras may change places when they are plugged in or the computer starts, "
+        "and the twin would take one camera's images for another's; give paths as 'address', see ls /dev/v4l/by-path"
+    )
 
 
 def _doubt(camera: RigCamera, factory: FactoryCalibration | None) -> str | None:

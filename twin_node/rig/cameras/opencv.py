@@ -23,7 +23,8 @@ class OpenCvCamera:
 
     name: str
     address: str
-    """Number of a USB camera, URL of a stream, or path of a video, which is played at its own rate, again and again."""
+    """Path of a USB camera in `/dev/v4l/by-path`, or its number, which may become another's when several are plugged in
+    anew; URL of a stream; or path of a video, which is played at its own rate, again and again."""
     width: int = 0
     """Pixels to ask of a USB camera; 0: its default."""
     height: int = 0
