@@ -16,7 +16,8 @@ from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.scene import Bool, Camera, Float32, FrameSet, Tier, UInt8, View
 
 HEIGHT, WIDTH = 45, 80
-CAMERA = Camera("cam", WIDTH, HEIGHT, np.eye(3), np.eye(4))
+CAMERA = Camera("cam", WIDTH, HEIGHT, np.array([[35.0, 0, 40], [0, 35, 22], [0, 0, 1]]), np.eye(4))
+"""A pixel shows 4 cm of the thing."""
 STEP_NS = 100_000_000
 FLOOR_M, THING_M = 2.0, 1.5
 COMING, STILL = 10, STANDS_NS // STEP_NS + 10
@@ -94,6 +95,11 @@ def _works(since: int, rgb: UInt8, depth: Float32) -> None:
     rgb[20:26, 30:36] = (250, 20, 20) if since // 3 % 2 else (20, 250, 20)
 
 
+def _works_beside(since: int, rgb: UInt8, depth: Float32) -> None:
+    """Somebody whose hands alone move, beside a load that they hang together with: a hand is 1 % of both."""
+    rgb[20:22, 36:38] = (250, 20, 20) if since // 3 % 2 else (20, 250, 20)
+
+
 def _turns(since: int, rgb: UInt8, depth: Float32) -> None:
     """What looks the same every half a second."""
     rgb[PLACE] = 60 + 30 * (since % 5)
@@ -119,7 +125,7 @@ def _sways(since: int, rgb: UInt8, depth: Float32) -> None:
         rgb[rows, edge] = (1 - aside) * rgb[rows, edge] + aside * rgb[rows, beside]
 
 
-@pytest.mark.parametrize("moves", [_works, _turns, _creeps, _comes_nearer, _sways])
+@pytest.mark.parametrize("moves", [_works, _works_beside, _turns, _creeps, _comes_nearer, _sways])
 def test_what_moves_however_little_stays(moves: Change) -> None:
     """At no time is it left out, not for a single image either."""
     cell = Cell()

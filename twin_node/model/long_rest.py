@@ -19,7 +19,11 @@ every look. What has come to rest is looked at in every image."""
 RENEWED_NS = 2_000_000_000
 """Time after which what stands is compared with how it looks by then, ns."""
 WHOLE = 0.95
-"""Share of a thing's pixels that must have: somebody whose hands alone move does not stand. The rest is noise."""
+"""Share of a thing's pixels that must have; the rest is noise, if it is scattered."""
+HAND_M = 0.04
+"""Width from which on what has not is a hand that moves, m, however large all is that hangs together with it."""
+NOISE_PX = 1.2
+"""A pixel is noise that has no more about it that moved: radius of one, with half of the next, pixels."""
 MEASURED = 0.5
 """Share of them whose depth must be known: without it nobody but the mask would know that something is there."""
 
@@ -52,7 +56,7 @@ class LongRest:
             return mask
         self._looks_again = not self._looks_again
         self._shown.look(stamp, image, camera, view.depth, seen_by(view, robot))
-        standing = _whole(mask, self._shown)
+        standing = _whole(mask, self._shown, view.camera.K[0, 0])
         self._stands = bool(standing.any())
         if not self._stands:
             return mask
@@ -98,8 +102,8 @@ class _Shown:
             np.copyto(self._image, self._newest, where=standing)
 
 
-def _whole(mask: Bool, shown: _Shown) -> Bool:
-    """[H, W] the connected regions of a mask that have come to rest as a whole."""
+def _whole(mask: Bool, shown: _Shown, focal_px: float) -> Bool:
+    """[H, W] the connected regions of a mask that have come to rest as a whole, hands too."""
     rests = shown.rests
     if not (mask & rests).any():
         return np.zeros_like(mask)
@@ -108,9 +112,17 @@ def _whole(mask: Bool, shown: _Shown) -> Bool:
         np.bincount(labels[of], minlength=count) for of in (mask, mask & rests, mask & (shown.depth > 0))
     )
     stands = (resting >= WHOLE * sizes) & (measured >= MEASURED * sizes)
+    stands[labels[_hands(mask & ~rests, shown.depth, focal_px)]] = False
     stands[0] = False
     found: Bool = stands[labels]
     return found
+
+
+def _hands(moved: Bool, depth: Float32, focal_px: float) -> Bool:
+    """[H, W] the middles of what has `moved` that is as wide as a hand; what is not measured is as far as any."""
+    radii = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 3)
+    far = np.where(depth > 0, depth, depth.max())
+    return np.asarray((radii > NOISE_PX) & (radii * far > HAND_M / 2 * focal_px))
 
 
 def _differs(image: Float32, other: Float32, threshold: float) -> Bool:
