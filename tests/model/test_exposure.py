@@ -152,12 +152,16 @@ def test_what_is_too_bright_to_tell_does_not_count_unless_its_depth_is_measured(
                 np.testing.assert_array_equal(even.rgb[told], view.rgb[told])
 
 
-def test_what_moved_in_the_last_set_does_not_tell_the_exposure() -> None:
+@pytest.mark.parametrize("is_missed", [False, True])
+def test_what_moved_in_the_last_image_does_not_tell_the_exposure(is_missed: bool) -> None:
+    """Whether or not its camera is missing from a set since."""
     exposures, still = Exposures(), frames(0, None, rig())
     exposures.begin(still, (PLAIN,) * 3)
     covered = np.zeros((60, 80), bool)
     covered[:, :48] = True
     exposures.heed(still, (covered,) * 3)
+    if is_missed:
+        exposures.heed(replace(still, views=still.views[1:]), (covered,) * 2)
     view = still.views[0]
     painted = exposed(view, 0.5).rgb
     painted[:, :48] = 40

@@ -7,7 +7,7 @@ model keeps its colours and nothing is born of a lamp.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -67,7 +67,8 @@ class Exposures:
 
     def __init__(self) -> None:
         self._memories: dict[str, _Memory] = {}
-        self._moving: Mapping[str, Bool] = {}
+        self._moving: dict[str, Bool] = {}
+        """Per camera, [H, W] where something moved in its newest image."""
 
     def begin(self, frames: FrameSet, exposures: Sequence[Exposure]) -> Levelled:
         """The first set, whose cameras are known to be exposed like `exposures`, one per view."""
@@ -102,8 +103,8 @@ class Exposures:
         return Levelled(replace(frames, views=tuple(views)), tuple(exposures))
 
     def heed(self, frames: FrameSet, moving: Sequence[Bool]) -> None:
-        """Tells where something moves in `frames`, [H, W] per view: those pixels do not count in the next set."""
-        self._moving = {view.camera.name: mask for view, mask in zip(frames.views, moving, strict=True)}
+        """Tells where something moves in `frames`, [H, W] per view: those pixels do not count in the next image."""
+        self._moving |= {view.camera.name: mask for view, mask in zip(frames.views, moving, strict=True)}
 
 
 class _Memory:
