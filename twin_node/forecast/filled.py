@@ -9,10 +9,11 @@ somebody it is as it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.forecast.backdrops import STEP, STEP_SHARE, UNSEEN, Backdrops
 from twin_node.forecast.sights import LEAST_BLANK, Look
@@ -24,6 +25,8 @@ SAME_SHARE, SAME_M = 0.03, 0.03
 """Two cameras see the same place where their depths of it differ by no more than this share of it, plus this, m."""
 LEAST_OF, MOST_OF = 3e-3, 0.5
 """Of an image: what seems to change in less of it is the rim of what moves, and in more of it is its exposure."""
+_Window = tuple[slice, slice]
+"""Rows and columns of an image."""
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _AROUND = np.ones((5, 5), np.uint8)
 """What changes in one image is looked for so far about its place in another."""
@@ -45,27 +48,67 @@ class FilledDepth:
         for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
             if view.depth is None:
                 continue
-            backdrop = backdrops.of(view)
-            other = _stands_out(view.depth, backdrop) | _stands_out(backdrop, view.depth)
-            other &= moving & (view.depth > 0) & (backdrop < UNSEEN)
-            passed = cv2.morphologyEx(other.astype(np.uint8), cv2.MORPH_OPEN, _CROSS) > 0  # single ones are noise
+            passed = np.zeros_like(moving)
+            window = _window(moving, 1)
+            depth, backdrop, within = view.depth[window], backdrops.of(view)[window], moving[window]
+            other = within & (depth > 0) & (backdrop < UNSEEN)
+            other &= _stands_out(depth, backdrop) | _stands_out(backdrop, depth)
+            if other.any():
+                passed[window] = cv2.morphologyEx(
+                    other.astype(np.uint8), cv2.MORPH_OPEN, _CROSS
+                )  # single ones are noise
             before = self._passed.get(view.camera.name)
             if before is not None and before.shape == moving.shape:
-                passed |= before
-            self._passed[view.camera.name] = passed & moving
+                passed |= before & moving
+            self._passed[view.camera.name] = passed
 
     def without(self, looks: Sequence[Look]) -> list[Look]:
         """The looks at the last state, with depth unknown where another look tells that it was filled in."""
         measured = [look for look in looks if look.view.depth is not None]
-        if len(measured) < 2 or not any(look.moving.any() for look in measured):
+        if len(measured) < 2:
+            return list(looks)
+        found = [_blobs(look, self._passed.get(look.view.camera.name)) for look in looks]
+        if not any(map(len, found)):
             return list(looks)
         unchanged = [_unchanged(look) for look in measured]
-        found = []
-        for look in looks:
-            others = [pair for pair in zip(measured, unchanged, strict=True) if pair[0] is not look]
-            passed = self._passed.get(look.view.camera.name)
-            found.append(look if look.view.depth is None else _without_filled(look, passed, others))
-        return found
+        pairs = list(zip(measured, unchanged, strict=True))
+        return [
+            _without_filled(look, blobs, [pair for pair in pairs if pair[0] is not look]) if len(blobs) else look
+            for look, blobs in zip(looks, found, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class _Blobs:
+    """Ground that seems to change in an image, in blobs that may be somebody."""
+
+    rows: NDArray[np.int64]
+    """[n] of their pixels."""
+    columns: NDArray[np.int64]
+    """[n]."""
+    numbers: NDArray[np.int64]
+    """[n] of the blob that each is of, from 1 on."""
+
+    def __len__(self) -> int:
+        """How many pixels there are."""
+        return len(self.rows)
+
+
+def _blobs(look: Look, passed: Bool | None) -> _Blobs:
+    """Of a look, but for what has `passed` [H, W]; none of one without depth."""
+    nothing = _Blobs(*np.zeros((3, 0), np.int64))
+    if look.view.depth is None:
+        return nothing
+    window = _window(look.moving)
+    ground = _ground(look, window)
+    if passed is not None and passed.shape == look.moving.shape:
+        ground &= ~passed[window]
+    if np.count_nonzero(ground) < LEAST_BLANK:
+        return nothing
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(ground.astype(np.uint8))
+    shares = stats[:, cv2.CC_STAT_AREA] / look.moving.size
+    rows, columns = np.nonzero(ground & ((shares >= LEAST_OF) & (shares <= MOST_OF))[labels])
+    return _Blobs(rows + window[0].start, columns + window[1].start, labels[rows, columns].astype(np.int64))
 
 
 def _unchanged(look: Look) -> Bool:
@@ -77,48 +120,45 @@ def _unchanged(look: Look) -> Bool:
     return unchanged
 
 
-def _without_filled(look: Look, passed: Bool | None, others: Sequence[tuple[Look, Bool]]) -> Look:
-    """A look with depth, beside others and where these are unchanged; [H, W] what has `passed` shows the ground again.
+def _without_filled(look: Look, blobs: _Blobs, others: Sequence[tuple[Look, Bool]]) -> Look:
+    """A look with depth, beside others and where these are unchanged.
 
     Each blob of ground that seems to change is light or somebody, as most of what others see of that ground tells.
     """
-    ground = _ground(look)
-    if passed is not None and passed.shape == ground.shape:
-        ground &= ~passed
-    left, top, width, height = cv2.boundingRect(ground.astype(np.uint8))
-    window = slice(top, top + height), slice(left, left + width)
-    rows, columns = np.nonzero(ground[window])
-    if len(rows) < LEAST_BLANK:
-        return look
-    points = points_at(look.view, rows + top, columns + left)
+    points = points_at(look.view, blobs.rows, blobs.columns)
     bare, lit = np.zeros((2, len(points)), np.bool_)
     for other, unchanged in others:
         seen, same = _seen(other, points, unchanged)
         bare |= seen & same
         lit |= seen & ~same
     bare &= ~lit
-    if not bare.any():
+    count = blobs.numbers.max() + 1
+    bares, lits = (np.bincount(blobs.numbers[told], minlength=count) for told in (bare, lit))
+    filled = (bares > lits)[blobs.numbers]
+    if not filled.any():
         return look
-    count, labels = cv2.connectedComponents(ground[window].astype(np.uint8))
-    blobs = labels[rows, columns]
-    is_filled = np.bincount(blobs[bare], minlength=count) > np.bincount(blobs[lit], minlength=count)
-    sizes = np.bincount(blobs, minlength=count) / ground.size
-    is_filled &= (sizes >= LEAST_OF) & (sizes <= MOST_OF)
-    filled = is_filled[blobs]
     assert look.view.depth is not None
     depth = look.view.depth.copy()
-    depth[rows[filled] + top, columns[filled] + left] = 0
+    depth[blobs.rows[filled], blobs.columns[filled]] = 0
     return replace(look, view=replace(look.view, depth=depth))
 
 
-def _ground(look: Look) -> Bool:
-    """[H, W] where a look with depth shows something move, and measures what stands there."""
+def _ground(look: Look, window: _Window) -> Bool:
+    """[h, w] where, in a window of a look with depth, something moves and what stands there is measured."""
     assert look.view.depth is not None and look.backdrop is not None
-    ground: Bool = look.moving & (look.view.depth > 0)
-    ground &= ~_stands_out(look.view.depth, look.backdrop)
-    if look.robot is not None:
-        ground &= ~look.robot
-    return ground if look.view.valid is None else ground & look.view.valid
+    depth = look.view.depth[window]
+    ground: Bool = look.moving[window] & (depth > 0)
+    ground &= ~_stands_out(depth, look.backdrop[window])
+    for hidden in (look.robot, None if look.view.valid is None else ~look.view.valid):
+        if hidden is not None:
+            ground &= ~hidden[window]
+    return ground
+
+
+def _window(mask: Bool, rim: int = 0) -> _Window:
+    """Rows and columns that hold all of a mask [H, W] and `rim` more; none where it is empty."""
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
 
 
 def _stands_out(depth: Float32, backdrop: Float32) -> Bool:
