@@ -11,7 +11,7 @@ from model_scenes import TICK_NS, frames, rig
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.first_light import PATIENCE_S, FirstLight, is_blind, once_lit
 from twin_node.model.quality import psnr, squared_error
-from twin_node.scene import FrameSet, View
+from twin_node.scene import FrameSet, TwinState, View
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
 CAMERAS = rig()
@@ -102,3 +102,24 @@ def test_a_camera_that_joins_and_sees_what_nobody_did_keeps_its_light() -> None:
     noise = np.random.default_rng(0).integers(0, 255, STILL.views[0].rgb.shape, np.uint8)
     state = model.update(at(1, STILL, replace(STILL.views[0], rgb=noise)))
     assert state.exposures[0].is_plain
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_who_stands_before_a_camera_that_joins_is_no_ground_to_it(depth: bool) -> None:
+    """Others see them move: without depth it is left out until nobody does."""
+    cameras, model = CAMERAS, WindowModel(QUICK)
+
+    def looked(index: int, block_x: float | None) -> TwinState:
+        one = frames(3 * index, block_x, cameras, depth)
+        joins = index < 5
+        return model.look(replace(one, views=one.views[joins:]))
+
+    for index in range(5):
+        looked(index, None if index == 0 else -0.3 + 0.06 * index)
+    come = looked(5, 0.0)
+    assert any("cam0 measures no depth" in warning for warning in come.warnings) != depth
+    assert is_blind(come.frames.views[0]) != depth
+    for index in range(6, 20):
+        gone = looked(index, None)
+    assert not gone.warnings
+    assert not is_blind(gone.frames.views[0])

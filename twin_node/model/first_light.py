@@ -1,4 +1,4 @@
-"""Cameras that have shown nothing yet: black or burnt out, as many are until their exposure has settled."""
+"""Cameras that have not shown the scene at rest yet: black or burnt out, or come while somebody moves before others."""
 
 from __future__ import annotations
 
@@ -20,30 +20,31 @@ class FirstLight:
     """Tells which cameras have shown something.
 
     The first image of a camera is taken for the scene at rest: beside a black one all that comes later would be in
-    motion for good.
+    motion for good, and who stands in one without depth would be ground, and their place free.
     """
 
     def __init__(self) -> None:
         self._lit: set[str] = set()
         self._since: dict[str, int] = {}
         """Stamps of the first images of cameras that have shown nothing yet, ns."""
+        self._unsettled: set[str] = set()
+        """Of these, those that have come while something moves."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader must know: one line per camera that has come and shown nothing yet."""
-        return tuple(
-            f"camera {name} has shown nothing so far, black or burnt out: it is left out; uncover it, or mend the light"
-            for name in self._since
-        )
+        """What a reader must know: one line per camera that has come and is left out."""
+        return tuple(f"camera {name} {_UNSETTLED if name in self._unsettled else _DARK}" for name in self._since)
 
-    def heed(self, frames: FrameSet) -> FrameSet:
+    def heed(self, frames: FrameSet, is_still: bool = True) -> FrameSet:
         """`frames`, in which no pixel is valid of cameras that have shown nothing yet.
 
-        One that measures depth is left out for `PATIENCE_S` at most: depth tells in the dark, too.
+        Nor of those without depth that come while the scene is not `is_still`, before other cameras. One that measures
+        depth is left out for `PATIENCE_S` at most: depth tells in the dark, too.
         """
         if all(view.camera.name in self._lit for view in frames.views):
             return frames
-        return replace(frames, views=tuple(view if self._is_lit(view) else _blind(view) for view in frames.views))
+        views = tuple(view if self._is_lit(view, is_still) else _blind(view) for view in frames.views)
+        return replace(frames, views=views)
 
     def is_dark(self, frames: FrameSet) -> bool:
         """Whether no camera of a set has shown anything so far, see `heed`."""
@@ -57,13 +58,17 @@ class FirstLight:
             self._light(view.camera.name)
         return frames
 
-    def _is_lit(self, view: View) -> bool:
+    def _is_lit(self, view: View, is_still: bool) -> bool:
         name = view.camera.name
         if name in self._lit:
             return True
         since = self._since.setdefault(name, view.stamp)
         waited = view.depth is not None and view.stamp - since >= PATIENCE_S * 1e9
+        self._unsettled.discard(name)
         if not waited and not shows_something(view):
+            return False
+        if view.depth is None and not is_still:
+            self._unsettled.add(name)
             return False
         self._light(name)
         return True
@@ -71,6 +76,13 @@ class FirstLight:
     def _light(self, name: str) -> None:
         self._lit.add(name)
         self._since.pop(name, None)
+
+
+_DARK = "has shown nothing so far, black or burnt out: it is left out; uncover it, or mend the light"
+_UNSETTLED = (
+    "measures no depth and has come while something moves before others: who stands there would be ground to it, so it "
+    "is left out until nothing moves; clear the cell, or start the twin anew with nobody in view"
+)
 
 
 def once_lit(sets: Iterable[FrameSet]) -> Iterator[FrameSet]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.long_rest import LongRest
@@ -14,6 +16,9 @@ BARED_SHARE = 5e-3
 """Of an image: so much that something has moved off of late which had been there from the start is a thing."""
 WITNESSES = 2
 """Cameras that must show so: one may take somebody who has come to rest for ground."""
+STILL_SHARE = 0.015
+"""Of an image: without depth rims of somebody who has gone may stay in it, up to a hundredth; somebody 5 m away takes
+three, an arm 1.5 m away two."""
 BARED_NS = 20_000_000_000
 """For so long what is left of that thing may go on to rest unseen, ns: as long as what rests is expected to start."""
 _STOOD = (
@@ -35,6 +40,8 @@ class MovingMask:
         self._rests: dict[str, LongRest] = {}
         self._stamp = 0
         self._bared_at: int | None = None
+        self.is_still = True
+        """Whether the newest masks show nobody."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -61,7 +68,9 @@ class MovingMask:
         if sum(camera.bared > BARED_SHARE * camera.mask.size for camera in cameras) >= WITNESSES:
             self._bared_at = frames.stamp
         rests = [self._rests[view.camera.name] for view in frames.views]
-        return tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
+        moving = tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
+        self.is_still = all(np.count_nonzero(mask) <= STILL_SHARE * mask.size for mask in moving)
+        return moving
 
     def _camera_of(self, view: View) -> CameraMask:
         camera = self._cameras.get(view.camera.name)

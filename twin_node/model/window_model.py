@@ -172,7 +172,7 @@ class WindowModel:
         begun, is_first = self._begun, self._begun is None
         far_depth = self._far_depth = self._far_depth or FarDepth([view.camera for view in frames.views])
         frames = far_depth.without(frames)
-        frames = self._light.begin(frames) if is_first else self._light.heed(frames)
+        frames = self._light.begin(frames) if is_first else self._light.heed(frames, self._mask.is_still)
         robots = robot_masks(self._arm, frames)
         if begun is None:
             begun, levelled = self._begin(frames, robots)
