@@ -119,6 +119,19 @@ def test_an_arm_whose_joints_come_without_velocities_is_known_to_move() -> None:
     assert cell.somebody().reason == "slow for MOVING"
 
 
+def test_an_arm_whose_driver_fills_in_zeros_for_its_velocities_is_known_to_move() -> None:
+    """It was taken to stand wherever it was seen: "clear", at full speed towards somebody."""
+    cell = Cell()
+    for i in range(20):
+        cell.joints(READY + TURNING * (i - 20) * 0.008, 0 * TURNING)
+        cell.wait(8)
+    assert cell.somebody().reason == "slow for MOVING"
+    cell.joints(READY)  # once one is told they all are believed
+    cell.wait(8)
+    cell.joints(READY + 0.1 * TURNING, 0 * TURNING)
+    assert cell.somebody().reason == "clear"
+
+
 def test_an_arm_beside_a_gripper_that_tells_no_velocity_is_known() -> None:
     """ros2_control's broadcaster says NaN for it, in one message with the arm's joints."""
     cell = Cell()

@@ -46,6 +46,8 @@ class ArmPredictor:
         """Whether the arm has been told to leave its path and stay where it is."""
         self._stray_rad: float | None = None
         self._joints: JointSample | None = None
+        self._measures_velocities = False
+        """Whether any velocity but 0 was ever told: some drivers fill in zeros for what they do not measure."""
         self._intended = np.zeros(model.joints)
         """Velocities [J] of its program at full speed, rad/s."""
         self._programmed = ProgrammedVelocity(_LEAST_SHARE, model.max_velocity)
@@ -97,6 +99,7 @@ class ArmPredictor:
     def take_joints(self, sample: JointSample, has_velocities: bool = True, share: float = 1.0) -> None:
         """A new sample, its joints in any order; without velocities, they are those since the sample before.
 
+        So they are for as long as all that ever came were 0, which is what many put there who measure none.
         `share`: of its speed, that the arm has been told to keep to. What others than the arm (a gripper, an axis) say
         on the same topic is left out, and so is what comes after newer joints. Raises `RobotError` where a joint is
         missing.
@@ -110,7 +113,8 @@ class ArmPredictor:
         passed_ns = 0 if before is None else sample.stamp - before.stamp
         if -self._lasting_ns < passed_ns < 0:
             return
-        if not has_velocities and before is not None:
+        self._measures_velocities |= has_velocities and bool(velocities.any())
+        if before is not None and not (has_velocities and self._measures_velocities):
             velocities = before.velocities
             if passed_ns > 0:
                 velocities = _turned(before.positions, positions) / (passed_ns * 1e-9)
