@@ -64,6 +64,9 @@ def test_down_at_once_and_up_slowly() -> None:
     assert (down.speed_fraction, down.obstacle_id, down.reason) == (0.1, 3, "clear of MOVING")
     up = limiter.decide(decision(1.0, 60), NOW + 60 * MS)
     assert up.speed_fraction == pytest.approx(0.1 + LimiterParameters().rise_per_s * 0.03)
+    assert up.reason == "clear of MOVING; speeding up"
+    later = [limiter.decide(decision(1.0, at_ms), NOW + at_ms * MS) for at_ms in range(90, 900, 30)]
+    assert (later[-1].speed_fraction, later[-1].reason) == (1.0, "clear of MOVING")
 
 
 def test_the_arm_is_at_full_speed_again_after_three_quarters_of_a_second() -> None:

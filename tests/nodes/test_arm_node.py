@@ -104,6 +104,13 @@ def test_an_arm_is_told_to_stand_before_any_forecast_has_come() -> None:
     assert (cell.told[-1].speed_fraction, cell.told[-1].reason) == (0.0, "stopped: no forecast yet")
 
 
+def test_a_decision_tells_that_its_arm_is_made_up_until_somebody_tells_of_one() -> None:
+    cell, far = Cell(), np.full(3, 5.0)
+    assert "made-up arm" in cell.somebody(at=far).reason
+    cell.joints()
+    assert "made-up" not in cell.somebody(at=far).reason
+
+
 @pytest.mark.parametrize(("given", "intrusion_m"), [({}, 0.2), ({"separation": {"intrusion_m": 0.5}}, 0.5)])
 def test_the_law_is_that_of_the_arms_file(given: dict[str, object], intrusion_m: float) -> None:
     cell = Cell(**given)
@@ -129,7 +136,7 @@ def test_an_arm_whose_driver_fills_in_zeros_for_its_velocities_is_known_to_move(
     cell.joints(READY)  # once one is told they all are believed
     cell.wait(8)
     cell.joints(READY + 0.1 * TURNING, 0 * TURNING)
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
 
 
 def test_an_arm_beside_a_gripper_that_tells_no_velocity_is_known() -> None:
@@ -145,16 +152,16 @@ def test_an_arm_beside_a_gripper_that_tells_no_velocity_is_known() -> None:
 def test_joints_that_have_stopped_coming_stop_the_arm_and_it_says_so() -> None:
     cell = Cell()
     cell.joints(qd=np.zeros(6))
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
     cell.wait(390)
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
     cell.wait(20)
     told = cell.somebody()
     assert (told.speed_fraction, told.reason) == (0.0, "stopped: the arm's joints are 410 ms old")
     cell.joints(ago_ms=-500)
     assert cell.somebody().reason == "stopped: the arm's joints are 500 ms in the future"
     cell.joints(qd=np.zeros(6), ago_ms=0)
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
 
 
 def test_a_gripper_that_publishes_its_own_joints_beside_the_arms_changes_nothing() -> None:
@@ -199,7 +206,7 @@ def test_an_arm_of_which_nothing_is_told_that_can_be_believed_stands_and_is_none
     assert (decision.speed_fraction, decision.reason) == (0.0, f"stopped: {reason}")
     assert (convert.Level.ERROR, reason) in [(d.level, d.message) for d in cell.node.diagnoses()]
     cell.joints()
-    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear"
+    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear; speeding up"
 
 
 def test_an_arm_with_a_driver_of_ones_own_stands_until_somebody_tells_where_it_is() -> None:
@@ -210,7 +217,7 @@ def test_an_arm_with_a_driver_of_ones_own_stands_until_somebody_tells_where_it_i
         "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory",
     )
     cell.joints()
-    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear"
+    assert cell.somebody(at=np.full(3, 5.0)).reason == "clear; speeding up"
 
 
 def test_an_arm_that_works_where_nobody_looks_is_told_of_for_a_while() -> None:
@@ -250,7 +257,7 @@ def test_a_path_that_has_not_begun_or_is_over_does_not_say_where_the_arm_is() ->
     cell.path(begins_ms=-201, lasts_ms=200, velocity=np.zeros(6))
     assert cell.somebody().reason == "slow for MOVING"
     cell.path(begins_ms=-100, lasts_ms=200, velocity=np.zeros(6))
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
 
 
 @pytest.mark.parametrize(("begun_ms", "begins_ms"), [(199, 0), (5, 194), (5, 350)])
@@ -284,11 +291,11 @@ def test_an_arm_that_is_told_to_stay_goes_along_its_path_no_longer() -> None:
     cell = Cell()
     cell.joints()
     cell.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
-    assert cell.somebody().reason == "clear"  # its path has it stand
+    assert cell.somebody().reason == "clear; speeding up"  # its path has it stand
     cell.stay()
     assert cell.somebody().reason == "slow for MOVING"  # its joints still turn
     cell.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
     alone = Cell()
     alone.path(begins_ms=-100, lasts_ms=2000)
     alone.stay()
@@ -318,7 +325,7 @@ def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:
     cell = Cell()
     cell.path(begins_ms=-1000, lasts_ms=4000)
     cell.joints(qd=np.zeros(6))
-    assert cell.somebody().reason == "clear"
+    assert cell.somebody().reason == "clear; speeding up"
     diagnosis = cell.node.diagnoses()[0]
     assert diagnosis.level is convert.Level.WARN
     assert diagnosis.message.startswith("the arm is 0.90 rad from where /arm/trajectory has it")
@@ -346,7 +353,7 @@ def test_a_path_without_a_stamp_begins_when_it_comes() -> None:
     cell = Cell()
     cell.joints()
     cell.path(begins_ms=0, lasts_ms=2000, velocity=np.zeros(6), is_stamped=False)
-    assert cell.somebody().reason == "clear"  # its path has it stand, its joints do not
+    assert cell.somebody().reason == "clear; speeding up"  # its path has it stand, its joints do not
 
 
 def test_a_path_that_is_not_finite_is_refused_when_it_comes() -> None:
@@ -362,7 +369,7 @@ def test_who_sends_a_path_that_is_refused_goes_no_longer_along_the_one_before() 
     cell.joints()
     for one in (cell, alone):
         one.path(begins_ms=-100, lasts_ms=2000, velocity=np.zeros(6))
-        assert one.somebody().reason == "clear"  # its path has it stand
+        assert one.somebody().reason == "clear; speeding up"  # its path has it stand
         with pytest.raises(TwinError, match="finite"):
             one.path(begins_ms=0, lasts_ms=2000, velocity=TURNING * np.nan)
     assert cell.somebody().reason == "slow for MOVING"  # its joints turn

@@ -64,14 +64,14 @@ def test_an_arm_that_is_driven_is_never_judged_as_a_made_up_one() -> None:
     setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
     make_arm(setup).configure()
     far = np.full(3, 5.0)
-    assert cell.somebody(at=far).reason == "clear"
+    assert cell.somebody(at=far).reason == "clear (of a made-up arm: nobody tells of one); speeding up"
     here[:] = [endpoint("ur_driver", SEPARATION)]
     cell.wait(32)
     told = cell.somebody(at=far)
     assert told.speed_fraction == 0
     assert told.reason == "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory"
     cell.joints()
-    assert cell.somebody(at=far).reason == "clear"
+    assert cell.somebody(at=far).reason == "clear; speeding up"
 
 
 def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object) -> list[float]:

@@ -54,7 +54,7 @@ def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> N
     for _ in range(30):
         cell.wait(8)
         cell.joints(stopped, -0.3 * TURNING)
-    assert cell.somebody(at=at).reason in ("clear", "clear of MOVING", "not closing in")
+    assert cell.somebody(at=at).reason == "clear of MOVING; speeding up"
 
 
 def test_an_arm_that_is_held_back_is_judged_where_it_is_and_not_where_it_would_be_when_a_forecast_begins() -> None:

@@ -10,6 +10,8 @@ from twin_node.arm.errors import ArmError
 from twin_node.ranges import POSITIVE, SHARE, Range, check_ranges
 from twin_node.scene import NO_EVIDENCE, Separation
 
+_RISING = "; speeding up"
+"""Said after the reason of a decision for full speed that the arm is still on its way to."""
 _LONGEST_S = 10.0
 """No arm goes on for so long without a forecast, s: who gives more means milliseconds."""
 
@@ -94,6 +96,8 @@ class SpeedLimiter:
         elapsed_s = 0.0 if self._stamp is None else max(now - self._stamp, 0) * 1e-9
         self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
         self._stamp = now
+        if self._fraction < limit == 1:
+            reason += _RISING  # "clear" alone would be no reason to be slow
         return replace(self._decision, stamp=now, speed_fraction=self._fraction, reason=reason)
 
     def stand(self) -> None:

@@ -42,6 +42,8 @@ OUTSIDE_M = 0.02
 """So far out the arm's end is outside the workspace, m: less than a voxel."""
 TOLD_NS = 10_000_000_000
 """So long after it is told that the arm was outside the workspace, ns: about a cycle."""
+MADE_UP = " (of a made-up arm: nobody tells of one)"
+"""Said after the reason of a decision that is no arm's."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
@@ -225,11 +227,11 @@ class ArmNode(Node):
                 self._outside = now, out_m
         is_servoed = self._parameters.servoed or driving is Driving.SERVOED
         table = self._servo_stop if is_servoed else self._own_stop
-        law = self._parameters.separation
-        if not self._is_live:  # a log's arm brakes for nobody
-            return decide(self._checker, path, stamp, reaction_s, law, table)
-        measured, underway = self._arm.joints(now), self._commands.underway(now)
-        return decide(self._checker, path, stamp, reaction_s, law, table, measured, underway)
+        law, measured, underway = self._parameters.separation, None, None
+        if self._is_live:  # a log's arm brakes for nobody
+            measured, underway = self._arm.joints(now), self._commands.underway(now)
+        decision = decide(self._checker, path, stamp, reaction_s, law, table, measured, underway)
+        return replace(decision, reason=decision.reason + MADE_UP) if self._arm.is_made_up else decision
 
     def _reaction_s(self, now: int) -> float:
         """From a decision until the arm obeys the next one: the longest of the last gaps, then the command's way.

@@ -197,7 +197,7 @@ def test_a_paused_program_that_the_driver_has_not_seen_run_begins_at_rest() -> N
     assert max(bench.link.speeds) == 0.0
     bench.link.tell(runtime_state=2)
     told = bench.run(100)
-    assert told.reason == "clear"
+    assert told.reason == "clear; speeding up"
     assert told.speed_fraction is not None and 0 < told.speed_fraction < 0.15
 
 
