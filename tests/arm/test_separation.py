@@ -75,6 +75,22 @@ def test_a_capsule_is_proven_by_sight_or_by_forecast_with_the_better_way_there(
         assert told[encounter.capsules == capsule].max(initial=-np.inf) == expected
 
 
+@pytest.mark.parametrize("early_ms", [30, 190])
+def test_somebody_seen_in_the_future_is_no_farther_than_somebody_seen_now(
+    ur5e_checker: ArmCollisionChecker, early_ms: int
+) -> None:
+    """The clocks differ: what they told counted as younger than it was, and the arm kept up to 0.3 m less."""
+    things = [beside_the_tool(ur5e_checker, 0.4, valid_ms=times) for times in ((0, 0), (20, 70))]
+    ur5e_checker.update(obstacles(*things))
+    expected = decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S)
+    later = [replace(thing, valid_ms=tuple(ms + early_ms for ms in thing.valid_ms)) for thing in things]
+    ur5e_checker.update(obstacles(*later, stamp=NOW + early_ms * MS))
+    found = decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S)
+    assert 0 < expected.speed_fraction < 1
+    assert (found.speed_fraction, found.required) == (expected.speed_fraction, expected.required)
+    assert found.evidence_stamp == NOW + early_ms * MS
+
+
 def test_before_its_forecast_begins_who_was_seen_gets_as_far_as_until_then_or_until_the_arm_stands(
     ur5e_checker: ArmCollisionChecker,
 ) -> None:

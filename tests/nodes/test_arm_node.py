@@ -313,6 +313,10 @@ def test_an_arm_that_stands_for_want_of_forecasts_is_told_of() -> None:
     cell.joints()
     cell.somebody()
     assert told() == (convert.Level.OK, "in time")
+    cell.somebody(ahead_ms=120)
+    assert told()[0] is convert.Level.WARN
+    assert told()[1].startswith("their evidence lies 120 ms in the future")
+    cell.somebody()
     cell.wait(201)
     assert told() == (convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status")
     with pytest.raises(TwinError, match="map"):

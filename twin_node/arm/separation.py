@@ -6,7 +6,7 @@ of where something may be, so S_h grows only from the end of their validity on. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
 import numpy as np
@@ -151,7 +151,9 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
     its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen. What the first layer
     holds may be there before that begins: a forecast begins when it is expected to be read, at times after it is.
+    Evidence of the future is no younger than now: the clocks differ, and by as much all that it says is earlier.
     """
+    obstacles = _no_younger(obstacles, stamp)
     source, kinds = obstacles.source, obstacles.kinds
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
     is_furniture = parameters.unknown is UnknownPolicy.CLEARANCE
@@ -180,6 +182,16 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         begins=source.begins,
         reaches=_reaches(obstacles),
     )
+
+
+def _no_younger(obstacles: ObstacleSet, stamp: int) -> ObstacleSet:
+    """Obstacles whose evidence is of a time (ns) at the latest."""
+    source = obstacles.source
+    early = source.stamp - stamp
+    if early <= 0:
+        return obstacles
+    valid_from, valid_to = source.valid_from - early, source.valid_to - early
+    return replace(obstacles, source=replace(source, stamp=stamp, valid_from=valid_from, valid_to=valid_to))
 
 
 def _reaches(obstacles: ObstacleSet) -> Reaches | None:

@@ -38,6 +38,8 @@ REPEATS_PER_DEADLINE = 2
 HEARD_NS = 5_000_000
 """From a decision until another process of the host has heard it, ns, ten times the usual: silence is answered so much
 before its deadline, so that who drives the arm knows by then."""
+AHEAD_S = 0.05
+"""Evidence so far in the future tells of clocks that differ, s: two of the periods in which a player tells the time."""
 OUTSIDE_M = 0.02
 """So far out the arm's end is outside the workspace, m: less than a voxel."""
 TOLD_NS = 10_000_000_000
@@ -102,6 +104,8 @@ class ArmNode(Node):
         self._outside: tuple[int, float] | None = None
         """When the arm's end was last outside the workspace, ns, and how far, m."""
         self._refused: str | None = None
+        self._ahead_s = 0.0
+        """How far the newest evidence lay in the future, s."""
         self._is_live = timers is not None
         self._commands = Commands(parameters.command_latency_ms * 1e-3)
 
@@ -146,6 +150,12 @@ class ArmNode(Node):
             level, message = convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status"
             if self._refused is not None:
                 message = f"refused: {self._refused}"
+        elif self._ahead_s > AHEAD_S:
+            level = convert.Level.WARN
+            message = (
+                f"their evidence lies {self._ahead_s * 1e3:.0f} ms in the future, so nobody knows how old it is; keep "
+                "the clocks of cameras, twin and arm together (chrony, PTP)"
+            )
         readings = (convert.Reading("silence_s", f"{silence_s:.3f}"),)
         return convert.Diagnosis(f"{self.name}: forecasts", level, message, readings)
 
@@ -197,6 +207,7 @@ class ArmNode(Node):
         try:
             _check_frame(message.header.frame_id)
             obstacles = convert.obstacles_from_message(message)
+            self._ahead_s = (obstacles.stamp - now) * 1e-9
             self._checker.update(obstacles)
             decision = self._decided(obstacles, now)
         except TwinError as error:
