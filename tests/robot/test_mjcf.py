@@ -165,7 +165,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
         load_arm(tmp_path / "nowhere.xml")
     foreign = tmp_path / "foreign.xml"
     foreign.write_text(FOREIGN)
-    with pytest.raises(RobotError, match="slide does not go on"):
+    with pytest.raises(RobotError, match="slide is none"):
         load_arm(foreign)
     with pytest.raises(RobotError, match="expected joint elbow, found swing, turn, slide"):
         load_arm(foreign, joint_names=("elbow",))

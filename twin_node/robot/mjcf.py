@@ -144,10 +144,12 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
     before = 0
     for joint in joints:
         body = int(engine.jnt_bodyid[joint])
-        if engine.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE or before not in _ancestors(engine, body):
+        is_hinge = engine.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        if not is_hinge or before not in _ancestors(engine, body):
+            wrong = "does not go on from the joint before it" if is_hinge else "is none"
             raise RobotError(
-                f"{path}: expected hinges that form one chain, found that {known[joint]} does not go on from the joint "
-                "before it; say which joints are the arm's with joint_names, of a launched arm with 'arm.joints'"
+                f"{path}: expected hinges that form one chain, found that {known[joint]} {wrong}; say which joints "
+                "are the arm's with joint_names, of a launched arm with 'arm.joints'"
             )
         before = body
     carrying = {before, *_ancestors(engine, before)}
@@ -157,7 +159,7 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
     if others:
         raise RobotError(
             f"{path}: expected all joints that carry the arm among its own, found {known[others[0]]} besides, which "
-            "nobody would follow; name it too, or take it out of the file where it never moves"
+            "nobody would follow; name it too if it is a hinge, or fix it in the file where it never moves"
         )
     return joints
 
