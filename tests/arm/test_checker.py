@@ -268,6 +268,11 @@ def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmColl
         ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(-1.0, 1.0, 1.0))))
     with pytest.raises(ArmError, match="unit quaternions for boxes"):
         ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), shape=ObstacleShape.BOX, quat=(0.0,) * 4)))
+    one = obstacles(Thing((1.0, 0.0, 0.5)), Thing((2.0, 0.0, 0.5), valid_ms=(200, 100)))
+    with pytest.raises(ArmError, match=r"found 1 that never are, .* \(the first has id 101\)"):
+        ur5e_checker.update(one)  # it counted for nothing, and so did one whose times nobody had set
+    with pytest.raises(ArmError, match="found 2 that never are, or whose times are not set"):
+        ur5e_checker.update(replace(one, valid_from=np.zeros(2, np.int64), valid_to=np.zeros(2, np.int64)))
     with pytest.raises(ArmError, match="at most 300 of a shape, found 301; raise max_obstacles"):
         ur5e_checker.update(obstacles(*[Thing((0.0, 0.0, 0.0))] * 301))
     assert ur5e_checker.distance(READY).distance == before

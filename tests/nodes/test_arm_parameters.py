@@ -64,7 +64,7 @@ def test_an_arm_that_is_driven_is_never_judged_as_a_made_up_one() -> None:
     setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
     make_arm(setup).configure()
     far = np.full(3, 5.0)
-    assert cell.somebody(at=far).reason == "clear (of a made-up arm: nobody tells of one); speeding up"
+    assert cell.somebody(at=far).reason == "clear (of a made-up arm); speeding up"
     here[:] = [endpoint("ur_driver", SEPARATION)]
     cell.wait(32)
     told = cell.somebody(at=far)

@@ -155,6 +155,7 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
     ):
         if len(column) != count:
             raise ArmError(f"obstacles: expected {count} {name}, one per id, found {len(column)}; check the forecast")
+    _refuse_untimed(obstacles)
     for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
         if told is not None and (len(told) != count or not (np.abs(told) <= _FARTHEST).all()):
             raise ArmError(
@@ -172,3 +173,15 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
     if not np.isin(obstacles.shapes, _SHAPES).all() or not np.isin(obstacles.kinds, _KINDS).all():
         raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")
+
+
+def _refuse_untimed(obstacles: Obstacles) -> None:
+    """What is valid at no time, or has no times: it would count for nothing, or as seen long ago."""
+    unset = (obstacles.valid_to == 0) & (obstacles.stamp > 0)
+    never = (obstacles.valid_to < obstacles.valid_from) | unset
+    if never.any():
+        raise ArmError(
+            "obstacles: expected each to be valid from valid_from to valid_to, found "
+            f"{int(never.sum())} that never are, or whose times are not set (the first has id "
+            f"{obstacles.ids[never.argmax()]}); set both, by the clock of the evidence"
+        )

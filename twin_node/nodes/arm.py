@@ -44,8 +44,8 @@ OUTSIDE_M = 0.02
 """So far out the arm's end is outside the workspace, m: less than a voxel."""
 TOLD_NS = 10_000_000_000
 """So long after it is told that the arm was outside the workspace, ns: about a cycle."""
-MADE_UP = " (of a made-up arm: nobody tells of one)"
-"""Said after the reason of a decision that is no arm's."""
+MADE_UP = " (of a made-up arm)"
+"""Said after the reason of a decision where nobody has told of an arm."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
