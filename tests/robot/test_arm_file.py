@@ -23,18 +23,20 @@ ROS_URDF = """
 """
 
 
-@pytest.mark.parametrize("place", ["above", "ament", "ros", "file"])
+@pytest.mark.parametrize("place", ["above", "ament", "ros", "ros itself", "file", "beside"])
 def test_meshes_are_found_where_ros_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """In a package; and masses, which nobody asks for here, may be missing or impossible."""
-    places = {"above": "src/my arm", "ament": "install/share/my arm", "ros": "ws/my arm", "file": "my arm"}
-    package = tmp_path / places[place]
+    places = {"above": "src/my arm", "ament": "install/share/my arm", "ros": "ws/my arm", "ros itself": "ws/my arm"}
+    package = tmp_path / places.get(place, "my arm")
     (package / "meshes").mkdir(parents=True)
     (package / "meshes" / "upper.obj").write_text(
         "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .4\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
     )
-    mesh = f"file://{package}/meshes/upper.obj" if place == "file" else "package://my arm/meshes/upper.obj"
+    by_path = {"file": f"file://{package}/meshes/upper.obj", "beside": "my arm/meshes/upper.obj"}
+    mesh = by_path.get(place, "package://my arm/meshes/upper.obj")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path / 'install'}" if place == "ament" else "")
-    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws") if place == "ros" else "")
+    ros_path = {"ros": tmp_path / "ws", "ros itself": package}.get(place, "")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(ros_path))
     file = (package / "urdf" if place == "above" else tmp_path) / "arm.urdf"
     file.parent.mkdir(exist_ok=True)
     file.write_text(ROS_URDF.format(mesh=mesh))

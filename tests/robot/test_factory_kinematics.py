@@ -50,7 +50,7 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="expected kinematics/forearm with numbers"):
         with_factory_kinematics(model, written(tmp_path, NOMINAL_UR10E.replace("forearm", "fourarm")))
     wrong = "expected kinematics/shoulder with numbers .*, found none for z; extract"
-    for number in (".nan", "1" + 400 * "0", "yes", "high"):
+    for number in (".nan", "-.inf", "1" + 400 * "0", "yes", "high"):
         with pytest.raises(RobotError, match=wrong):
             with_factory_kinematics(model, written(tmp_path, NOMINAL_UR10E.replace("z: 0.1807", f"z: {number}")))
     for text in ("[1, 2]", "", "kinematics: 3"):

@@ -91,7 +91,8 @@ def test_a_foreign_arm_moves_as_its_file_says(tmp_path: Path, refs: tuple[int, i
         placed = place_capsules(model, forward_kinematics(model, q))
         np.testing.assert_allclose(placed.ends[capsule].mean(0), data.geom_xpos[tube], atol=1e-9)
         np.testing.assert_allclose(forward_kinematics(model, q)[1:, :3, 3], data.xanchor[:2], atol=1e-9)
-    assert model.upper[0] == pytest.approx(np.pi / 2)
+    assert model.upper.tolist() == pytest.approx([np.pi / 2, np.inf])
+    assert model.lower.tolist() == pytest.approx([-np.pi / 2, -np.inf])
     assert len(model.capsules) == 4  # the visual box is left out, the finger belongs to the second link
     assert (model.capsules.links == [0, 1, 2, 2]).all()
 
@@ -150,7 +151,9 @@ def test_a_tool_is_where_the_file_has_its_frame(tmp_path: Path, tool: str) -> No
         f"""<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.3"/>
         {inside}</body></worldbody></mujoco>"""
     )
-    arm = load_arm(tmp_path / "arm.xml").carrying(np.array([[[0, 0, 0.1], [0, 0, 0.2]]]), np.array([0.02]))
+    arm = load_arm(tmp_path / "arm.xml")
+    assert (arm.link_names[1], arm.joint_names[0]) == ("link_1", "joint_1"), "what has no name is told by one"
+    arm = arm.carrying(np.array([[[0, 0, 0.1], [0, 0, 0.2]]]), np.array([0.02]))
     ends = place_capsules(arm, forward_kinematics(arm, np.zeros(1))).ends[-1]
     there = [[0, 0.1, 0], [0, 0.2, 0]] if tool == "none" else [[0.1, 0, 0.3], [0.2, 0, 0.3]]
     np.testing.assert_allclose(ends, there, atol=1e-9)
@@ -240,7 +243,10 @@ def test_a_urdf_rates_its_joints_unless_it_gives_a_placeholder(tmp_path: Path) -
     given = ('velocity="3.14"', 'velocity="0"', 'velocity="1e6"', 'velocity="fast"', 'velocity="-1"', "")
     limits = [f'<limit lower="-2" upper="2" effort="1" {rating}/>' for rating in given]
     (tmp_path / "arm.urdf").write_text(_urdf(*limits))
-    np.testing.assert_array_equal(load_arm(tmp_path / "arm.urdf").max_velocity, [3.14, 15, 15, 15, 15, 15])
+    arm = load_arm(tmp_path / "arm.urdf")
+    np.testing.assert_array_equal(arm.max_velocity, [3.14, 15, 15, 15, 15, 15])
+    assert arm.capsules.links.tolist() == list(range(7)), "its base has a shape too"
+    assert arm.link_names == tuple(f"l{k}" for k in range(7))
     assert (load_arm(find("sim/ur5e.xml")).max_velocity == 15).all()
 
 
@@ -260,8 +266,10 @@ def test_an_arm_with_a_gripper_is_told_how_to_name_its_joints(tmp_path: Path) ->
     model = arm_model(path, joint_names=("shoulder", "elbow"))
     assert model.joint_names == ("shoulder", "elbow")
     assert (model.capsules.links == 2).sum() == 3  # the fingers are carried by the last link
-    with pytest.raises(RobotError, match="joints: expected those of ur5e in this order, shoulder_pan_joint"):
-        arm_model("ur5e", joint_names=("shoulder",))
+    own = ur_model("ur5e").joint_names
+    for wrong in (("shoulder",), (own[1], own[0], *own[2:])):
+        with pytest.raises(RobotError, match="joints: expected those of ur5e in this order, shoulder_pan_joint"):
+            arm_model("ur5e", joint_names=wrong)
 
 
 RAIL = """<mujoco><worldbody><body name="carriage"><joint name="rail" type="slide" axis="1 0 0"/><geom size=".05"/>
@@ -290,10 +298,12 @@ MIXED = """<mujoco><default><default class="seen"><geom contype="0" conaffinity=
 </body></body></body></worldbody></mujoco>"""
 
 
-def test_a_body_of_which_only_visuals_are_given_is_as_large_as_they_are(tmp_path: Path) -> None:
+@pytest.mark.parametrize("touches", ["", 'contype="0"', 'conaffinity="0"'])
+def test_a_body_of_which_only_visuals_are_given_is_as_large_as_they_are(tmp_path: Path, touches: str) -> None:
     """Only fingers take part in contacts in many a model: the arm behind them was without capsules."""
     path = tmp_path / "mixed.xml"
-    path.write_text(MIXED.format('<geom class="seen" type="capsule" size=".06" fromto="0 0 0 0 0 .3"/>'))
+    text = MIXED.replace('<geom size=".05"', f'<geom {touches} size=".05"')
+    path.write_text(text.format('<geom class="seen" type="capsule" size=".06" fromto="0 0 0 0 0 .3"/>'))
     capsules = arm_model(path).capsules
     assert (capsules.links.tolist(), capsules.radii.tolist()) == ([1, 2, 2], [0.06, 0.05, 0.07])
 
@@ -312,6 +322,8 @@ def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
         arm_model("kuka")
     with pytest.raises(ResourceError, match=r"missing\.xml: no such file"):
         arm_model(tmp_path / "missing.xml")
+    with pytest.raises(RobotError, match=r"mine\.yaml: expected a UR arm to calibrate, found sim/ur3e\.xml"):
+        arm_model("sim/ur3e.xml", kinematics="mine.yaml")
 
 
 @pytest.mark.parametrize("name", ["ur3e", "ur5e"])

@@ -59,13 +59,29 @@ def test_mask_holds_every_pixel_that_a_ray_says_and_few_more(
     assert not (mask & ~near_edge).any()
 
 
-def test_a_camera_next_to_the_arm_is_masked_right() -> None:
-    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
-    elbow = forward_kinematics(MODEL, q)[3, :3, 3]
-    camera = camera_at(elbow + np.array([0.05, 0.28, 0.0]), elbow + np.array([0.05, -0.3, -0.4]), focal=40.0)
+@pytest.mark.parametrize("seed", [2, 6, 7, 9, 11, 12])
+def test_a_camera_next_to_the_arm_is_masked_right_and_sees_past_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-2, 2, 6)
+    placed = place_capsules(MODEL, forward_kinematics(MODEL, q))
+    nearest, aside = 2 + seed % 8, rng.normal(size=3)
+    middle = placed.ends[nearest].mean(axis=0)
+    position = middle + (placed.radii[nearest] + 0.05) * aside / np.linalg.norm(aside)
+    camera = camera_at(position, middle + rng.uniform(-0.4, 0.4, 3), focal=40.0)
     expected, mask = cast(camera, q, 0.02), robot_mask(MODEL, q, camera, 0.02)
-    assert expected.any()
+    assert 0.05 < expected.mean() < 0.95
     assert not (expected & ~mask).any()
+    assert not (mask & ~cast(camera, q, 0.02 + 0.5 / camera.K[0, 0])).any()
+
+
+def test_a_camera_inside_the_grown_arm_sees_nothing_but_the_arm() -> None:
+    """Even where it looks away from what it touches."""
+    placed = place_capsules(MODEL, forward_kinematics(MODEL, np.zeros(6)))
+    longest = int(np.linalg.norm(placed.ends[:, 1] - placed.ends[:, 0], axis=1).argmax())
+    at = placed.ends[longest].mean(axis=0) + np.array([0.0, 0.0, placed.radii[longest] + 0.03])
+    camera = camera_at(at, at + np.array([1.0, 0.01, 0.7]))
+    assert robot_mask(MODEL, np.zeros(6), camera, 0.05).all()
+    assert not robot_mask(MODEL, np.zeros(6), camera, 0.0).all()
 
 
 def test_an_arm_behind_the_camera_is_not_seen() -> None:
@@ -94,16 +110,16 @@ def seen_by_depth(camera: Camera, q: NDArray[np.float64], wall_m: float) -> tupl
     return mask, np.where(surface > 0, surface, np.where(mask, wall_m, 0)).astype(np.float32)
 
 
-def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm() -> None:
+@pytest.mark.parametrize(("row", "column"), [(24, 31), (27, 34)])
+def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm(row: int, column: int) -> None:
+    """Before the wrist; and before the base, where the wrist is nearer to the camera than the hand is."""
     camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))
     q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
     _, surface = seen_by_depth(camera, q, wall_m=0.0)
     mask = robot_mask(MODEL, q, camera, depth=surface)
-    rows, columns = np.nonzero(surface)
-    middle = np.hypot(rows - np.median(rows), columns - np.median(columns)).argmin()
-    hand = np.s_[rows[middle] - 2 : rows[middle] + 3, columns[middle] - 2 : columns[middle] + 3]
+    hand = np.s_[row - 2 : row + 3, column - 2 : column + 3]
     held_up = surface.copy()
-    held_up[hand] = surface[rows[middle], columns[middle]] - 0.25
+    held_up[hand] = surface[row, column] - 0.25
     expected = mask.copy()
     expected[hand] = False
     np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=held_up), expected)

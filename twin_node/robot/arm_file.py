@@ -63,7 +63,7 @@ def _found(path: str | Path, mesh: str) -> str:
 def _packages(file: Path, name: str) -> Iterator[Path]:
     """Folders that may be the ROS package of a name."""
     for folder in file.parents:
-        yield from (folder, folder / name) if folder.name == name else (folder / name,)
+        yield folder / name
     for prefix in _paths("AMENT_PREFIX_PATH"):
         yield prefix / "share" / name
     for folder in _paths("ROS_PACKAGE_PATH"):

@@ -28,7 +28,7 @@ def arm_model(
     """
     if str(name).startswith(AIRO):
         name = _airo_file(str(name).removeprefix(AIRO))
-    if str(name) in UR_NAMES or not Path(name).suffix:
+    if not Path(name).suffix:
         model = _called(ur_model(str(name)), joint_names)
         return model if kinematics is None else with_factory_kinematics(model, kinematics)
     if kinematics is not None:

@@ -169,7 +169,7 @@ def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
     told = {}
     with suppress(ExpatError):  # MuJoCo reads more than is XML: who writes such a file gives no ratings
         robot: Any = expatbuilder.parse(str(path), namespaces=False).documentElement  # prefixes are often undeclared
-        for joint in _children(robot, "joint") if robot.tagName == "robot" else ():
+        for joint in _children(robot, "joint"):
             told[joint.getAttribute("name")] = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
     return np.array([_rating(*told.get(name, [])[:1]) for name in names])
 

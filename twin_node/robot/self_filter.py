@@ -92,7 +92,7 @@ def _others(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii:
     before[rows, columns] = clear & nearer
     past[rows, columns] = clear & ~nearer
     opened = cv2.morphologyEx(before, cv2.MORPH_OPEN, _AROUND)
-    return (opened > 0) | (cv2.erode(past, _AROUND, borderType=cv2.BORDER_REPLICATE) > 0)
+    return (opened > 0) | (cv2.erode(past, _AROUND) > 0)
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:
@@ -139,7 +139,7 @@ def _ray_segment_distance(rays: Float64, ends: Float64) -> Float64:
     parallel = determinant < 1e-12
     t = np.where(parallel, 0.0, (first * along - ends[0] @ axis) / np.where(parallel, 1.0, determinant))
     nearest_sq = np.full(rays.shape[:-1], np.inf)
-    for candidate in (np.clip(t, 0, 1), 0.0, 1.0, _foot_of_origin(ends)):
+    for candidate in (np.clip(t, 0, 1), _foot_of_origin(ends)):
         from_origin_sq = float(ends[0] @ ends[0]) + candidate * (2 * float(ends[0] @ axis) + candidate * length_sq)
         reach = np.maximum(first + candidate * along, 0.0)
         nearest_sq = np.minimum(nearest_sq, from_origin_sq - reach * reach)
