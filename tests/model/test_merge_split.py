@@ -13,7 +13,7 @@ from twin_node.model import merge_split
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
-from twin_node.model.merge_split import Merge, MergeSplit, Regrouping, Split
+from twin_node.model.merge_split import AGREED_S, SEARCHES, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
 from twin_node.model.parts import halves_of, lie_apart, redealt
 from twin_node.model.passing import Passing
@@ -112,6 +112,53 @@ def test_neighbours_that_turn_about_one_axis_are_one_body_and_others_are_not() -
     two = about_one.copy()
     two[3:, 1] += 0.05
     assert not decided(cells, two)
+
+
+def test_neighbours_merge_once_they_have_agreed_for_long_and_each_with_one_other_at_a_time() -> None:
+    cells, about_one = row_of(6, [0, 0, 1, 1, 2, 2]), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    assert not decided(cells, about_one, int(AGREED_S / DT_S))
+    merge_split, pairs = MergeSplit(), set()
+    for index in range(12):
+        merge_split.accumulate(cells, told(about_one, cells.centres, index), DT_S)
+        merged = [one for one in merge_split.decide(np.arange(3), DT_S) if isinstance(one, Merge)]
+        assert len({row for one in merged for row in (one.kept, one.ended)}) == 2 * len(merged)
+        pairs |= {frozenset((one.kept, one.ended)) for one in merged}
+    assert pairs, "and they do"
+
+
+@pytest.mark.parametrize("larger", [0, 1])
+def test_of_two_that_merge_the_one_more_is_known_of_goes_on(larger: int) -> None:
+    cells, about_one = row_of(6, [larger] * 4 + [1 - larger] * 2), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    merged = decided(cells, about_one)
+    assert merged and all(isinstance(one, Merge) and one.kept == larger for one in merged)
+
+
+def test_of_many_nodes_each_is_looked_at_in_turn() -> None:
+    alone = 2 * SEARCHES - 1
+    nodes = [*range(alone), *[alone] * 6]
+    cells, velocities = row_of(len(nodes), nodes), np.zeros((len(nodes), 6))
+    cells.centres[:alone, 1] = np.arange(1, alone + 1)
+    cells.centres[-2:, 0] += 0.01
+    velocities[-2:, 1] = 0.1
+    splits = [one for one in decided(cells, velocities) if isinstance(one, Split)]
+    assert splits and splits[0].node == alone
+    assert np.flatnonzero(splits[0].leaving).tolist() == [alone + 4, alone + 5]
+
+
+def test_velocities_are_those_of_late_and_none_where_nothing_was_said() -> None:
+    cells, moving = row_of(3, [0, 0, 0]), np.tile([0.3, 0.0, 0.0, 0.0, 0.0, 0.0], (3, 1))
+    merge_split, at = MergeSplit(), np.zeros((2, 3))
+    said = []
+    for index in range(12):
+        merge_split.accumulate(cells, told(moving * (index < 6), cells.centres, index), DT_S)
+        said.append(merge_split.velocities(np.array([0, 5]), at))
+    assert said[5][0, :3] == pytest.approx([0.3, 0.0, 0.0], abs=0.02)
+    assert np.abs(said[11][0, :3]).max() < 0.02
+    assert not said[11][1].any()
+    merge_split.accumulate(cells, told(moving, cells.centres, 12), DT_S)
+    others = replace(cells, keys=cells.keys + 3)
+    merge_split.accumulate(others, told(0 * moving, cells.centres, 13), DT_S)
+    assert np.abs(merge_split.velocities(np.array([0]), at[:1])[0, :3]).max() < 0.02, "new cells have no past"
 
 
 def test_what_rests_together_is_one_body_only_where_it_looks_alike() -> None:
