@@ -15,7 +15,14 @@ from twin_node.model.backgrounds import Backgrounds, grow
 from twin_node.model.births import Births
 from twin_node.model.cells import Cells
 from twin_node.model.compiled_deaths import judge_static, refuted_moving
-from twin_node.model.deaths import Shapes, are_needed, clashing, judge_static_reference, refuted_moving_reference
+from twin_node.model.deaths import (
+    Shapes,
+    are_needed,
+    clashing,
+    judge_static_reference,
+    lie_still,
+    refuted_moving_reference,
+)
 from twin_node.model.evidence import DEMOTE, PROMOTE, Fits, accumulate
 from twin_node.model.flow import flows_between
 from twin_node.model.gaussians import Gaussians, Newborns
@@ -111,6 +118,12 @@ def test_what_alone_explains_what_depth_is_measured_of_is_needed(depth: bool) ->
     observed = observe(table(), 0.1, depth)
     points = np.array([[0.1, 0.0, 0.1], [-0.3, 0.2, 0.0], [9.0, 9.0, 9.0]])
     assert are_needed(observed, [balls(points, 0.01)] * 3).tolist() == [depth, False, False]
+
+
+def test_what_no_view_shows_to_move_lies_still() -> None:
+    observed = observe(table(), 0.1, blind=1)
+    points = np.array([[0.1, 0.0, 0.06], [-0.3, 0.2, 0.0], [9.0, 9.0, 9.0]])
+    assert lie_still(observed, [balls(points, 0.01)] * 3).tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize("depth", [False, True])
