@@ -48,7 +48,7 @@ def refuted_moving_reference(observed: Sequence[Observed], shapes: Sequence[Shap
     for one, shape in zip(observed, shapes, strict=True):
         seen = look(one.view.camera, shape.means)
         at = seen.rows * one.usable.shape[1] + seen.columns
-        looms = ~seen.inside & (pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1)
+        looms = pixels_reached(one.view.camera, seen, shape.means, REACH * shape.radii) > 1
         behind = seen.depth > (one.background.depth * (1 + OCCLUSION)).take(at)
         empty = one.usable.take(at) & ~np.where(carried, one.near_moving.take(at), one.active.take(at))
         refuted |= (seen.inside | looms) & ~behind & empty
