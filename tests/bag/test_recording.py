@@ -262,6 +262,21 @@ def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monk
     assert stamps == [i * STEP for i in range(1, len(stamps) + 1)]
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "run"])
+def test_a_disk_that_is_full_from_the_start_leaves_the_name_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """An empty file stayed, and the next try was refused for it."""
+    open_file = Path.open
+    monkeypatch.setattr(Path, "open", lambda p, *a, **k: FullDisk(open_file(p, *a, **k), 10))
+    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
+        RecordingWriter(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+    monkeypatch.undo()
+    with RecordingWriter(tmp_path / name) as writer:
+        fill(writer, 3)
+
+
 def test_a_next_file_that_cannot_be_begun_ends_the_recording_and_leaves_the_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,8 @@ class RecordingWriter:
                 self._disk.ask(self.path.parent)
             self._begin_file()
         except OSError as error:
+            with contextlib.suppress(OSError):
+                self.discard()  # the name is free for the next try
             raise self._refused(error) from None
 
     @property
@@ -247,8 +249,14 @@ class RecordingWriter:
             path = path / f"{path.name}_{len(self._files)}.mcap"
         stream = path.open("xb")
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
-        writer.start(PROFILE, RECORDER)
-        stream.flush()  # before the metadata names it: an empty file is no log
+        try:
+            writer.start(PROFILE, RECORDER)
+            stream.flush()  # before the metadata names it: an empty file is no log
+        except OSError:
+            with contextlib.suppress(OSError):
+                stream.close()
+            path.unlink()
+            raise
         self._files.append(_File(path))
         self._open = _Open(stream, writer)
         self._disk.ask(path.parent)
