@@ -127,7 +127,7 @@ def test_cameras_of_ones_own_without_a_graph(
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", WithJoints)
     made = example(monkeypatch, 1, cameras=cameras, rig=rig)
     assert (made.obstacles.kinds == ObstacleKind.MOVING).any()
-    assert re.fullmatch(r"(\d+%, told \d+%: [a-zA-Z ]+\n)+", capsys.readouterr().out)
+    assert re.fullmatch(r"(\d+%, told \d+%: [a-zA-Z; ]+\n)+", capsys.readouterr().out)
 
 
 def test_an_arm_that_stands_for_somebody_is_not_let_go_by_the_example(
@@ -148,5 +148,5 @@ def test_an_arm_that_stands_for_somebody_is_not_let_go_by_the_example(
     monkeypatch.setattr("twin_node.forecast.cover", somebody)
     example(monkeypatch, 1, cameras=(), rig=Rig((), workspace=np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]])))
     told = capsys.readouterr().out.splitlines()
-    assert told[1] == "100%, told 4%: not closing in"
+    assert told[1] == "100%, told 4%: not closing in; speeding up"
     assert set(told[2:]) == {"0%, told 0%: stopped for MOVING"}

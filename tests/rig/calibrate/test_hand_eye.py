@@ -246,9 +246,9 @@ def test_a_rig_of_a_board_that_the_arm_measures_otherwise_is_not_tied(
 ) -> None:
     """Its cameras stand as far too much apart as the board is too large on paper: 4 cm a metre here."""
     a_session(tmp_path)
-    stated = CharucoBoard(6, 5, 0.0312, 0.02288)
+    stated, size = CharucoBoard(6, 5, 0.0312, 0.02288), (LENS.width, LENS.height)
     cameras = tuple(
-        RigCamera(name, LENS.width, LENS.height, LENS.K, pose(np.eye(3), np.array([x, 0, 0])), LENS.model, LENS.D)
+        RigCamera(name, *size, LENS.K, pose(np.eye(3), np.array([x, 0, 0])), LENS.distortion_model, LENS.D)
         for name, x in (("left", 0.0), ("right", 0.5))
     )
     made_with = str(stated) if of_this_board else ""
