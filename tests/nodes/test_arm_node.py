@@ -118,72 +118,6 @@ def test_the_law_is_that_of_the_arms_file(given: dict[str, object], intrusion_m:
     assert cell.somebody().term_intrusion == intrusion_m
 
 
-def test_an_arm_whose_joints_come_without_velocities_is_known_to_move() -> None:
-    cell = Cell()
-    for i in range(20):
-        cell.joints(READY + TURNING * (i - 20) * 0.008, has_velocities=False)
-        cell.wait(8)
-    assert cell.somebody().reason == "slow for MOVING"
-
-
-def test_an_arm_whose_driver_fills_in_zeros_for_its_velocities_is_known_to_move() -> None:
-    """It was taken to stand wherever it was seen: "clear", at full speed towards somebody."""
-    cell = Cell()
-    for i in range(20):
-        cell.joints(READY + TURNING * (i - 20) * 0.008, 0 * TURNING)
-        cell.wait(8)
-    assert cell.somebody().reason == "slow for MOVING"
-    cell.joints(READY)  # once one is told they all are believed
-    cell.wait(8)
-    cell.joints(READY + 0.1 * TURNING, 0 * TURNING)
-    assert cell.somebody().reason == "clear; speeding up"
-
-
-def test_an_arm_beside_a_gripper_that_tells_no_velocity_is_known() -> None:
-    """ros2_control's broadcaster says NaN for it, in one message with the arm's joints."""
-    cell = Cell()
-    message = convert.joint_sample_to_message(JointSample(cell.clock.now(), MODEL.joint_names, READY, TURNING))
-    message.name.append("gripper")
-    message.position, message.velocity = np.append(message.position, 0.02), np.append(message.velocity, np.nan)
-    cell.bus.publish(JOINT_STATES, message)
-    assert cell.somebody().reason == "slow for MOVING"
-
-
-def test_joints_that_have_stopped_coming_stop_the_arm_and_it_says_so() -> None:
-    cell = Cell()
-    cell.joints(qd=np.zeros(6))
-    assert cell.somebody().reason == "clear; speeding up"
-    cell.wait(390)
-    assert cell.somebody().reason == "clear; speeding up"
-    cell.wait(20)
-    told = cell.somebody()
-    assert (told.speed_fraction, told.reason) == (0.0, "stopped: the arm's joints are 410 ms old")
-    cell.joints(ago_ms=-500)
-    assert cell.somebody().reason == "stopped: the arm's joints are 500 ms in the future"
-    cell.joints(qd=np.zeros(6), ago_ms=0)
-    assert cell.somebody().reason == "clear; speeding up"
-
-
-def test_a_gripper_that_publishes_its_own_joints_beside_the_arms_changes_nothing() -> None:
-    cell = Cell()
-    cell.gripper()
-    cell.joints()
-    cell.gripper()
-    assert cell.somebody().reason == "slow for MOVING"
-
-
-def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
-    """`/diagnostics` said that nobody publishes any, and that a made-up cycle is judged."""
-    cell = Cell()
-    cell.gripper()
-    with pytest.raises(TwinError, match="found finger_joint"):
-        cell.somebody()
-    told = cell.node.diagnoses()[0]
-    assert told.level is convert.Level.ERROR and "expected shoulder_pan_joint" in told.message
-    cell.joints()
-    assert cell.node.diagnoses()[0].message == "known"
-
-
 @pytest.mark.parametrize("told", ["some joints", "NaN joints", "NaN path", "to stay"])
 def test_an_arm_of_which_nothing_is_told_that_can_be_believed_stands_and_is_none_made_up(told: str) -> None:
     """It was let go at full speed where nobody stands in the way of a made-up cycle."""
@@ -240,13 +174,6 @@ def test_an_arm_that_works_where_nobody_looks_is_told_of_for_a_while() -> None:
     assert "outside the workspace, where nothing is looked for" in told().message
     cell.wait(10_000)
     assert told().level is convert.Level.OK
-
-
-def test_joints_that_come_late_do_not_replace_newer_ones() -> None:
-    cell = Cell()
-    cell.joints()
-    cell.joints(qd=np.zeros(6), ago_ms=30)
-    assert cell.somebody().reason == "slow for MOVING"
 
 
 def test_a_path_that_has_not_begun_or_is_over_does_not_say_where_the_arm_is() -> None:
