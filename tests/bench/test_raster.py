@@ -10,12 +10,14 @@ import torch
 from twin_node.bench import raster
 
 SMALL = raster.Size(200, 32, 24)
-BENCH = raster.RasterBench((SMALL, raster.Size(100, 16, 16, 2)), (SMALL,), (SMALL,), SMALL, SMALL, 2, 1)
+BENCH = raster.RasterBench(
+    (SMALL, raster.Size(100, 16, 16, 2)), (SMALL,), (SMALL,), (SMALL,), (0.5,), SMALL, SMALL, 2, 1
+)
 
 
 def test_report_holds_every_figure():
     report = json.loads(json.dumps(raster.run(BENCH)))
-    assert set(report) == {"cpu", "plain", "cuda", "training_iteration_ms", "masked_ratio"}
+    assert set(report) == {"cpu", "plain", "cuda", "steps", "training_iteration_ms", "masked_ratio"}
     assert [row["n"] for row in report["cpu"]] == [200, 100]
     names = {"n", "width", "height", "sh_degree", "forward_ms", "forward_backward_ms"}
     for row in (*report["cpu"], *report["plain"]):
@@ -23,14 +25,16 @@ def test_report_holds_every_figure():
         assert row["forward_ms"] > 0
     assert report["training_iteration_ms"] > 0
     assert report["masked_ratio"] > 0
-    assert (report["cuda"] is None) == (not torch.cuda.is_available())
+    assert (report["cuda"] is None) == (report["steps"] is None) == (not torch.cuda.is_available())
 
 
 def test_table_has_a_line_per_measurement():
     row = {"n": 5, "width": 8, "height": 6, "sh_degree": 1, "forward_ms": 0.5, "forward_backward_ms": 1.25}
-    report = {"cpu": [row], "plain": [row], "cuda": None, "training_iteration_ms": 5.0, "masked_ratio": 0.2}
-    lines = raster.table(report).splitlines()
-    assert len(lines) == 5
+    step = {"n": 90, "width": 8, "height": 6, "learning": 0.25, "recorded_ms": 1.5, "unrecorded_ms": 4.0}
+    report = {"cpu": [row], "plain": [row], "cuda": None, "steps": [step], "training_iteration_ms": 5.0}
+    lines = raster.table({**report, "masked_ratio": 0.2}).splitlines()
+    assert len(lines) == 6
+    assert lines[3] == "step with 4 cameras of 8x6, 25 % of 90 learning: 1.50 ms, unrecorded 4.00 ms"
     assert lines[1].split() == ["cpu", "5", "8x6", "1", "0.50", "1.25"]
 
 

@@ -143,7 +143,7 @@ def pretended() -> Iterator[Traffic]:
     """The device `NAME` is there, for this thread; the work of others is done by it."""
     traffic = Traffic()
     with pytest.MonkeyPatch.context() as patch, kernel_threads(1), _Made(), _Dispatched(traffic):
-        patch.setattr(cuda, "_gsplat", lambda: _Gsplat)
+        patch.setattr(cuda, "gsplat_module", lambda: _Gsplat)
         patch.setattr(import_module("torch.optim.adam"), "_device_dtype_check_for_fused", lambda *_, **__: None)
         yield traffic
 

@@ -12,7 +12,7 @@ from splat_scenes import Case, assert_close, differentiate, make_case
 
 from twin_node.splat import SplatError, cuda, rasterize, rasterize_reference
 from twin_node.splat.arguments import Gaussians, Options, Views, check_shapes
-from twin_node.splat.cuda import _gsplat
+from twin_node.splat.cuda import gsplat_module
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: gsplat is not compared")
 
@@ -56,7 +56,7 @@ def pretended(
 
 
 def test_pixels_outside_the_mask_send_back_no_gradient(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(cuda, "_gsplat", lambda: SimpleNamespace(rasterization=pretended))
+    monkeypatch.setattr(cuda, "gsplat_module", lambda: SimpleNamespace(rasterization=pretended))
     case = make_case(channels=3)
     mask = torch.rand(2, 32, 48, generator=torch.Generator().manual_seed(0)) > 0.5
     backgrounds = torch.full((2, 3), 0.5, requires_grad=True)
@@ -72,4 +72,4 @@ def test_pixels_outside_the_mask_send_back_no_gradient(monkeypatch: pytest.Monke
 @pytest.mark.skipif(torch.cuda.is_available(), reason="CUDA is here")
 def test_without_cuda_the_error_says_what_is_missing():
     with pytest.raises(SplatError, match="missing: a CUDA device and a CUDA build of torch"):
-        _gsplat()
+        gsplat_module()

@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from twin_node.bench.step_speed import time_steps
 from twin_node.bench.text_table import text_table
 from twin_node.splat import image_loss, rasterize, rasterize_reference
 
@@ -42,6 +43,9 @@ class RasterBench:
     )
     plain: tuple[Size, ...] = (Size(5000, 160, 120), Size(10000, 320, 240))
     cuda: tuple[Size, ...] = (Size(10000, 320, 240), Size(100000, 640, 480), Size(100000, 640, 480, 2))
+    steps: tuple[Size, ...] = (Size(100000, 640, 480),)
+    learning: tuple[float, ...] = (1.0, 0.0625)
+    """Shares of the Gaussians that take the steps, and of the pixels that lead them."""
     training: Size = Size(5000, 160, 120)
     masked: Size = Size(10000, 320, 240)
     repetitions: int = 30
@@ -51,7 +55,7 @@ class RasterBench:
 
 @dataclass(frozen=True)
 class RoomScene:
-    """Gaussians of a 6 x 6 x 3 m room with round objects in it, flat on their surfaces, and three cameras inside."""
+    """Gaussians of a 6 x 6 x 3 m room with round objects in it, flat on their surfaces, and cameras inside."""
 
     means: Tensor
     quats: Tensor
@@ -70,7 +74,7 @@ class RoomScene:
 def run(bench: RasterBench | None = None) -> dict[str, Any]:
     """Measures and gives the JSON object of `twin_node bench raster --json`, times in milliseconds.
 
-    `cuda` is null without a CUDA device; `gsplat_...` beside its figures is gsplat called directly.
+    `cuda` and `steps` are null without a CUDA device; `gsplat_...` beside its figures is gsplat called directly.
     """
     bench = bench or RasterBench()
     on_cuda = torch.cuda.is_available()
@@ -78,6 +82,7 @@ def run(bench: RasterBench | None = None) -> dict[str, Any]:
         "cpu": [_measure(rasterize, _room(size), bench.repetitions) for size in bench.cpu],
         "plain": [_measure(rasterize_reference, _room(size), bench.plain_repetitions) for size in bench.plain],
         "cuda": [_measure_cuda(_room(size, "cuda"), bench.repetitions) for size in bench.cuda] if on_cuda else None,
+        "steps": _time_steps(bench) if on_cuda else None,
         "training_iteration_ms": _training_iteration(bench),
         "masked_ratio": _masked_ratio(bench),
     }
@@ -97,12 +102,18 @@ def table(report: dict[str, Any]) -> str:
         for row in report[backend] or []
     ]
     lines = [text_table(("backend", "Gaussians", "image", "SH", "forward ms", "with backward ms"), rows)]
+    for row in report["steps"] or []:
+        share = f"{100 * row['learning']:.0f} % of {row['n']} learning"
+        lines.append(
+            f"step with 4 cameras of {row['width']}x{row['height']}, {share}: {row['recorded_ms']:.2f} ms, "
+            f"unrecorded {row['unrecorded_ms']:.2f} ms"
+        )
     lines.append(f"training iteration, 3 cameras: {report['training_iteration_ms']:.2f} ms")
     lines.append(f"5 % of the pixels against all: {report['masked_ratio']:.2f}")
     return "\n".join(lines)
 
 
-def _room(size: Size, device: str = "cpu") -> RoomScene:
+def _room(size: Size, device: str = "cpu", cameras: int = 3) -> RoomScene:
     random = torch.Generator().manual_seed(0)
     walls, objects = int(0.45 * size.n), size.n - int(0.45 * size.n)
     wall_points, wall_normals = _walls(walls, random)
@@ -117,7 +128,7 @@ def _room(size: Size, device: str = "cpu") -> RoomScene:
     shuffled = torch.randperm(size.n, generator=random)
     focal = size.width / 2 / math.tan(FIELD_OF_VIEW / 2)
     K = torch.tensor([[focal, 0, size.width / 2], [0, focal, size.height / 2], [0, 0, 1]])
-    eyes = ((2.4, 2.2, 1.8), (-2.5, 1.5, 1.2), (0.3, -2.6, 2.2))
+    eyes = ((2.4, 2.2, 1.8), (-2.5, 1.5, 1.2), (0.3, -2.6, 2.2), (-1.2, 2.6, 2.0))[:cameras]
     viewmats = torch.stack([_look_at(torch.tensor(eye), torch.tensor([0.0, 0.0, 0.75])) for eye in eyes])
     return RoomScene(
         means=means[shuffled].to(device),
@@ -126,7 +137,7 @@ def _room(size: Size, device: str = "cpu") -> RoomScene:
         opacities=opacities[shuffled].to(device),
         sh=sh[shuffled].to(device),
         viewmats=viewmats.to(device),
-        Ks=K.repeat(3, 1, 1).to(device),
+        Ks=K.repeat(cameras, 1, 1).to(device),
         size=size,
     )
 
@@ -218,6 +229,11 @@ def _measure_cuda(scene: RoomScene, repetitions: int) -> dict[str, Any]:
     alone = _measure(rasterization, scene, repetitions, packed=False)
     times = {f"gsplat_{name}": alone[name] for name in ("forward_ms", "forward_backward_ms")}
     return {**ours, **times}
+
+
+def _time_steps(bench: RasterBench) -> list[dict[str, Any]]:
+    rooms = [_room(size, "cuda", 4) for size in bench.steps]
+    return [time_steps(room, learning, bench.repetitions) for room in rooms for learning in bench.learning]
 
 
 def _training_iteration(bench: RasterBench) -> float:

@@ -66,7 +66,7 @@ def undo(gaussians: Gaussians, rows: Tensor, values: Tensor) -> None:
 
 def descend(gaussians: Gaussians, path: Path, steps: int) -> Descended:
     """`steps` steps, 1 or more, by the fastest way there is."""
-    if splat.has_kernels(gaussians.values.device):
+    if splat.can_descend(gaussians.values.device):
         return descend_fused(gaussians, path, steps)
     return descend_reference(gaussians, path, steps)
 
@@ -91,7 +91,7 @@ def descend_reference(gaussians: Gaussians, path: Path, steps: int) -> Descended
 
 
 def descend_fused(gaussians: Gaussians, path: Path, steps: int) -> Descended:
-    """The same in one call of the compiled library."""
+    """The same in one call of `splat.descend`."""
     rows, shots, target = path.rows, path.goal.shots, path.goal.targets
     times = len(shots.Ks)
     assert shots.backdrop is not None

@@ -13,7 +13,7 @@ from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
 from twin_node.model.writes import Writes
 from twin_node.scene import Tier
-from twin_node.splat import Decays
+from twin_node.splat import AdamState, Bounds, Decays, adam_step
 
 MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
 """Columns of `Gaussians.values`."""
@@ -312,37 +312,24 @@ class Descent:
         self._store = gaussians
         self._decays = decays
         self._rows = rows
-        self._ceiling = gaussians.largest[rows, None]
-        self._moment1, self._moment2 = gaussians.moment1[rows], gaussians.moment2[rows]
-        self._steps = gaussians.steps[rows]
-        self._refused = torch.zeros_like(self._steps)
-        self.values = gaussians.values[rows]
+        store, self._ceilings = gaussians, gaussians.largest[rows]
+        self._state = AdamState(*(of[rows] for of in (store.values, store.moment1, store.moment2, store.steps)))
+        self._refused = torch.zeros_like(self._state.steps)
+
+    @property
+    def values(self) -> Tensor:
         """[n, 14] as they are now."""
+        return self._state.values
 
     def step(self, gradient: Tensor, rates: Tensor) -> None:
         """One step down `gradient` [n, 14] at `rates` [n, 14]; none for rows that nothing pulls at.
 
         Rows that would not stay finite keep their values and forget their moments.
         """
-        pulled = (gradient != 0).any(1)
-        self._steps = self._steps + pulled
-        k, first, second = self._steps[:, None].to(gradient.dtype).clamp_min(1), self._decays.first, self._decays.second
-        m = self._moment1.lerp_(gradient, (1 - first) * pulled[:, None])
-        v = self._moment2.mul_(torch.where(pulled, second, 1.0)[:, None])
-        v.addcmul_(gradient, gradient, value=1 - second)
-        update = (m / (1 - first**k)).div_((v / (1 - second**k)).sqrt_().add_(1e-12))
-        values = self.values - update.mul_(rates * pulled[:, None])
-        scales, rgb = values[:, LOG_SCALE], values[:, RGB]
-        torch.minimum(scales, self._ceiling, out=scales)
-        scales.clamp_(min=SMALLEST)
-        rgb.clamp_(0, 1)
-        finite = torch.isfinite(values).all(1)
-        self.values = torch.where(finite[:, None], values, self.values)
-        self._moment1, self._moment2 = (torch.where(finite[:, None], of, 0) for of in (m, v))
-        self._steps = torch.where(finite, self._steps, 0)
-        self._refused += ~finite
+        self._state, refused = adam_step(self._state, gradient, Bounds(rates, self._ceilings, SMALLEST), self._decays)
+        self._refused += refused
 
     def end(self) -> None:
         """Stores values and moments, and counts the steps that were not taken."""
-        self._store.take(self._rows, self.values, self._moment1, self._moment2, self._steps)
+        self._store.take(self._rows, *vars(self._state).values())
         self._store.refused += int(self._refused.sum())

@@ -18,6 +18,7 @@ MAX_SH_DEGREE = 3
 MAX_ELEMENTS = 2**31 - 1
 """Per argument and per output: the kernels count in 32 bits."""
 
+CPU = torch.device("cpu")
 SMALLEST_DETERMINANT = 1e-12
 """Of the left upper 3x3 of a viewmat; a rotation has 1."""
 
@@ -202,10 +203,12 @@ def require_finite(given: Mapping[str, Tensor | None], *others: Tensor) -> list[
     return found[len(there) :]
 
 
-def require_layout(name: str, tensor: Tensor | None, shape: tuple[int, ...], dtype: torch.dtype) -> None:
+def require_layout(
+    name: str, tensor: Tensor | None, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device = CPU
+) -> None:
     """Raises `ValueError` for a tensor that compiled code would read as something else; None will do."""
-    if tensor is not None and (tensor.shape != shape or tensor.dtype != dtype or not tensor.is_cpu):
-        raise ValueError(f"{name}: expected {list(shape)} {dtype} on cpu, found {_describe_whole(tensor)}")
+    if tensor is not None and (tensor.shape != shape or tensor.dtype != dtype or tensor.device != device):
+        raise ValueError(f"{name}: expected {list(shape)} {dtype} on {device}, found {_describe_whole(tensor)}")
 
 
 def non_finite(name: str, tensor: Tensor) -> ValueError:

@@ -25,7 +25,7 @@ def render_gsplat(scene: Scene) -> Rendered:
     n = scene.count
     colors_tail = g.colors.shape[-scene.color_rank - 1 :]
     colors = g.colors if scene.colors_per_camera else g.colors.expand(*batch, *colors_tail)
-    renders, alphas, meta = _gsplat().rasterization(
+    renders, alphas, meta = gsplat_module().rasterization(
         g.means.expand(*batch, n, 3),
         g.quats.expand(*batch, n, 4),
         g.scales.expand(*batch, n, 3),
@@ -65,7 +65,7 @@ def _outside(scene: Scene, renders: Tensor) -> Tensor:
 
 
 @cache
-def _gsplat() -> Any:
+def gsplat_module() -> Any:
     """The module gsplat. Raises `SplatError` naming what it lacks on this machine."""
     missing = []
     if not torch.cuda.is_available():

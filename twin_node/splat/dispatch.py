@@ -1,4 +1,4 @@
-"""The two public functions: `rasterize`, on whatever device the tensors live, and `rasterize_reference`."""
+"""`rasterize` and `descend`, on whatever device the tensors live, and `rasterize_reference`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ from twin_node.splat.arguments import (
     check_finite,
     check_shapes,
 )
+from twin_node.splat.captured_descent import descend_captured
 from twin_node.splat.cpu import render_native
 from twin_node.splat.cuda import render_gsplat
+from twin_node.splat.descent import descend_compiled
+from twin_node.splat.learning import Aims, Bystanders, Course, Descended, Learners, require_layouts
 from twin_node.splat.reference import render_reference
 
 
@@ -102,6 +105,32 @@ def rasterize_reference(
     check_finite(scene)
     rendered = render_reference(scene)
     return rendered.renders, rendered.alphas, rendered.meta
+
+
+def can_descend(device: torch.device) -> bool:
+    """Whether `descend` takes tensors on this device."""
+    return device.type == "cuda" or native.has_kernels(device)
+
+
+def descend(learners: Learners, bystanders: Bystanders, aims: Aims, course: Course) -> Descended:
+    """Takes steps of Adam down `image_loss` (L1, of depth too) of what is seen.
+
+    Gaussians that nothing pulls at are left alone; those that would not stay finite keep their values and forget their
+    moments. Float32 tensors on the CPU, where one call of the compiled library does it, or on CUDA, where recorded
+    graphs of gsplat's kernels do.
+    Raises `ValueError` naming a target that is not finite, what is of another shape or kind or, of what is brought up
+    to date, in pieces, for no steps, or where the library is not at hand (see `can_descend`); `SplatError` for CUDA
+    tensors without all that gsplat needs.
+    """
+    if course.steps < 1:
+        raise ValueError(f"steps: expected 1 or more, found {course.steps}")
+    require_layouts(learners, bystanders, aims)
+    if learners.values.device.type == "cuda":
+        return descend_captured(learners, bystanders, aims, course)
+    library = native.kernels()
+    if library is None:
+        raise ValueError("descend: the compiled library is not at hand; see can_descend")
+    return descend_compiled(learners, bystanders, aims, course, library)
 
 
 def _render(scene: Scene) -> Rendered:

@@ -1,0 +1,368 @@
+"""Steps of Adam on CUDA: two recorded graphs of kernels per step, with gsplat's intersection of tiles between them.
+
+A step is some two hundred small kernels, and launching each of them takes longer than most of them run. What is
+recorded has fixed sizes: sets of Gaussians are filled up to the next of a few sizes with such as no camera sees.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from twin_node.splat.adam import AdamState, Bounds, Decays, adam_step
+from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.cuda import gsplat_module
+from twin_node.splat.learning import WIDTH, Aims, Bystanders, Course, Descended, Learners
+from twin_node.splat.loss import unchecked_loss
+
+TILE = 16
+"""Side of gsplat's tiles, pixels."""
+FEWEST, GROWTH = 256, 1.25
+"""The smallest size that Gaussians are filled up to, and how many times as large the next one is."""
+KEPT = 6
+"""Recordings that are held: as sizes change slowly, those of the last sets."""
+FEWEST_MEETINGS = 1 << 20
+"""Room for Gaussians that meet tiles; what is left free costs 4 bytes each and no time."""
+OPTIONS = Options(render_mode="RGB+D")
+NOBODY = (0.0,) * 3 + (1.0, 0.0, 0.0, 0.0) + (-12.0,) * 3 + (-30.0,) + (0.0,) * 3
+"""Attributes of a Gaussian that fills up: no camera sees it, so that nothing pulls at it."""
+
+Work = Callable[[], Any]
+
+
+@dataclass(frozen=True)
+class _Size:
+    """What a recording is made for, and what else it does not ask again."""
+
+    device: torch.device
+    times: int
+    height: int
+    width: int
+    learners: int
+    bystanders: int
+    carriages: int
+    is_weighted: bool
+    depth_weight: float | None
+    """None: no depth is compared."""
+    smallest_log_scale: float
+    decays: Decays
+    kind: type[Captured | Unrecorded]
+
+
+def descend_captured(
+    learners: Learners,
+    bystanders: Bystanders,
+    aims: Aims,
+    course: Course,
+    kind: type[Captured | Unrecorded] | None = None,
+) -> Descended:
+    """`descend` for tensors on CUDA, which is waited for once per step, for how many tiles are met, and at the end.
+
+    `kind`: whether kernels are recorded (None: they are), or launched one by one, to compare with.
+    """
+    times, height, width = aims.rgb.shape[:3]
+    size = _Size(
+        aims.rgb.device,
+        times,
+        height,
+        width,
+        _filled(len(learners.rows)),
+        _filled(bystanders.means.shape[1]),
+        _filled(learners.turns.shape[1]),
+        aims.weights is not None,
+        None if aims.depth is None else aims.depth_weight,
+        course.smallest_log_scale,
+        course.decays,
+        kind or Captured,
+    )
+    with _LOCK:
+        recording = _RECORDINGS.pop(size, None) or _Recording(size)
+        _RECORDINGS[size] = recording  # the newest comes last
+        if len(_RECORDINGS) > KEPT:
+            _RECORDINGS.popitem(last=False)
+        return recording.descend(learners, bystanders, aims, course.steps)
+
+
+_RECORDINGS: OrderedDict[_Size, _Recording] = OrderedDict()
+_LOCK = Lock()
+
+
+def _filled(count: int) -> int:
+    """The size that so many are filled up to."""
+    size = FEWEST
+    while size < count:
+        size = int(size * GROWTH)
+    return size
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """The learners where their carriers take them, and all Gaussians on the cameras' images."""
+
+    means: Tensor
+    """[T, n, 3]."""
+    quats: Tensor
+    """[T, n, 4]."""
+    opacities: Tensor
+    """[n + m] of learners and bystanders."""
+    colors: Tensor
+    """[n + m, 3]."""
+    radii: Tensor
+    """[T, 1, n + m, 2] pixels."""
+    means2d: Tensor
+    depths: Tensor
+    conics: Tensor
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What a step saw, and the gradient by what it took."""
+
+    seen: Tensor
+    alphas: Tensor
+    v_means: Tensor
+    v_quats: Tensor
+    loss: Tensor
+    refused: Tensor
+
+
+class _Recording:
+    """The kernels of a step, for one size."""
+
+    def __init__(self, size: _Size) -> None:
+        """Nothing is recorded before the first step."""
+        self._size = size
+        self._gsplat = gsplat_module()
+        t, n, m, k = size.times, size.learners, size.bystanders, size.carriages
+        image = (t, size.height, size.width)
+        self._tiles = -(-size.height // TILE), -(-size.width // TILE)
+
+        def room(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.zeros(shape, dtype=dtype, device=size.device)
+
+        self._state = AdamState(room(n, WIDTH).requires_grad_(), room(n, WIDTH), room(n, WIDTH), room(n, dtype=_INT64))
+        self._ceilings, self._rates = room(n), room(n, WIDTH)
+        self._turns, self._shifts, self._products = room(t, k, 3, 3), room(t, k, 3), room(t, k, 4, 4)
+        self._carriers = room(n, dtype=_INT64)
+        self._standing = Bystanders(room(t, m, 3), room(t, m, 4), room(m, 3), room(m), room(m, 3))
+        self._aims = Aims(
+            room(t, 4, 4),
+            room(t, 3, 3),
+            room(*image, 4),
+            room(*image, dtype=torch.bool),
+            room(*image, 3),
+            room(*image) if size.is_weighted else None,
+            None if size.depth_weight is None else room(*image),
+            size.depth_weight or 0.0,
+        )
+        self._drawn_tiles = room(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.bool)
+        self._offsets = room(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.int32)
+        self._meetings = room(0, dtype=torch.int32)
+        self._carry: Captured | Unrecorded | None = None
+        self._learn: Captured | Unrecorded | None = None
+        self._carried: _Carried | None = None
+
+    def descend(self, learners: Learners, bystanders: Bystanders, aims: Aims, steps: int) -> Descended:
+        """Takes `steps` steps; raises `ValueError` naming a target that is not finite, and has changed nothing then."""
+        self._take(learners, bystanders, aims)
+        losses, refused, step = [], [], None
+        for _ in range(steps):
+            step = self._do_step()
+            losses.append(step.loss.clone())
+            refused.append(step.refused.clone())
+        assert step is not None
+        targets = {"backdrop": aims.backdrop, "rgb": aims.rgb, "weights": aims.weights, "depth": aims.depth}
+        given = {name: target for name, target in targets.items() if target is not None}
+        are_finite = [torch.isfinite(target).all().double() for target in given.values()]
+        found = torch.stack([*losses, torch.stack(refused).sum().double(), *are_finite]).tolist()
+        for (name, target), is_finite in zip(given.items(), found[steps + 1 :], strict=True):
+            if not is_finite:
+                raise non_finite(name, target)
+        n = len(learners.rows)
+        store = (learners.values, learners.moment1, learners.moment2, learners.steps)
+        for kept, of in zip(store, self._held(), strict=True):
+            kept.index_copy_(0, learners.rows, of[:n])
+        return Descended(
+            step.seen.clone(),
+            step.alphas.clone(),
+            step.v_means[:, :n].clone(),
+            step.v_quats[:, :n].clone(),
+            int(found[steps]),
+            torch.tensor(found[:steps], dtype=torch.float64),
+        )
+
+    def _held(self) -> list[Tensor]:
+        return [of.data for of in vars(self._state).values()]
+
+    def _take(self, learners: Learners, bystanders: Bystanders, aims: Aims) -> None:
+        """Copies what is given to where the recorded kernels read it."""
+        n, m, k = len(learners.rows), bystanders.means.shape[1], learners.turns.shape[1]
+        values, *moments = self._held()
+        values[n:] = values.new_tensor(NOBODY)
+        kept = (learners.values, learners.moment1, learners.moment2, learners.steps, learners.ceilings)
+        for to, of in zip((values, *moments, self._ceilings), kept, strict=True):
+            to[:n] = of.index_select(0, learners.rows)
+        for of in moments:
+            of[n:] = 0
+        self._rates[:n], self._carriers[:n], self._carriers[n:] = learners.rates, learners.carriers, 0
+        for to, of in zip(
+            (self._turns, self._shifts, self._products),
+            (learners.turns, learners.shifts, learners.products),
+            strict=True,
+        ):
+            to[:, :k] = of
+        stands = self._standing
+        stands.means[:, :m], stands.quats[:, :m] = bystanders.means, bystanders.quats
+        stands.scales[:m], stands.opacities[:m], stands.colors[:m] = (
+            bystanders.scales,
+            bystanders.opacities,
+            bystanders.colors,
+        )
+        stands.opacities[m:] = 0
+        stands.quats[:, m:, 0] = 1
+        for name, to in vars(self._aims).items():
+            if isinstance(to, Tensor):
+                of = getattr(aims, name)
+                to.copy_(to.new_ones(()) if of is None else of)  # without a mask all pixels are drawn
+        self._choose_tiles()
+
+    def _choose_tiles(self) -> None:
+        """Tiles without a pixel that is drawn cost nothing; nor does a row of them below, where free meetings go."""
+        rows, columns = self._tiles
+        mask = self._aims.pixel_mask
+        assert mask is not None
+        below, beside = rows * TILE - self._size.height, columns * TILE - self._size.width
+        padded = F.pad(mask.float()[:, None], (0, beside, 0, below))
+        self._drawn_tiles[:, :, :rows] = F.max_pool2d(padded, TILE) > 0
+
+    def _do_step(self) -> _Step:
+        if self._carry is None:
+            self._carry = self._size.kind(self._do_carry)
+        self._carried = carried = self._carry()
+        rows, columns = self._tiles
+        _, ids, meetings = self._gsplat.isect_tiles(
+            carried.means2d, carried.radii, carried.depths, TILE, columns, rows + 1
+        )
+        offsets = self._gsplat.isect_offset_encode(ids, self._size.times, columns, rows + 1)
+        if len(meetings) > len(self._meetings):
+            most = max(FEWEST_MEETINGS, 2 * len(meetings))
+            self._meetings, self._learn = torch.zeros(most, dtype=torch.int32, device=self._size.device), None
+        self._offsets.copy_(offsets.view_as(self._offsets))
+        self._meetings[: len(meetings)] = meetings
+        if self._learn is None:
+            self._learn = self._size.kind(self._do_learn, self._held())
+        step: _Step = self._learn()
+        return step
+
+    def _do_carry(self) -> _Carried:
+        """The first half of a step: from attributes to the cameras' images."""
+        values, stands, aims = self._state.values, self._standing, self._aims
+        turns, shifts, products = (
+            of.index_select(1, self._carriers) for of in (self._turns, self._shifts, self._products)
+        )
+        with torch.enable_grad():
+            means = _applied(turns, values[:, 0:3]) + shifts
+            quats = _applied(products, values[:, 3:7])
+            opacities = torch.cat([stands.opacities, values[:, 10].sigmoid()])
+            colors = torch.cat([stands.colors, values[:, 11:14]])
+            radii, means2d, depths, conics, _ = self._gsplat.fully_fused_projection(
+                torch.cat([stands.means, means], 1),
+                None,
+                torch.cat([stands.quats, quats], 1),
+                torch.cat([stands.scales, values[:, 7:10].exp()]).expand(self._size.times, -1, -1),
+                aims.viewmats[:, None],
+                aims.Ks[:, None],
+                self._size.width,
+                self._size.height,
+                eps2d=OPTIONS.eps2d,
+                near_plane=OPTIONS.near_plane,
+                far_plane=OPTIONS.far_plane,
+                radius_clip=OPTIONS.radius_clip,
+                opacities=opacities.expand(self._size.times, -1),
+            )
+        return _Carried(means, quats, opacities, colors, radii, means2d, depths, conics)
+
+    def _do_learn(self) -> _Step:
+        """The second half: what is seen, what it misses, and a step against that."""
+        carried, aims, size = self._carried, self._aims, self._size
+        assert carried is not None and aims.pixel_mask is not None
+        with torch.enable_grad():
+            colors = carried.colors.expand(*carried.depths.shape, 3)
+            renders, alphas = self._gsplat.rasterize_to_pixels(
+                carried.means2d,
+                carried.conics,
+                torch.cat([colors, carried.depths[..., None]], -1),
+                carried.opacities.expand_as(carried.depths),
+                size.width,
+                size.height,
+                TILE,
+                self._offsets,
+                self._meetings,
+                masks=self._drawn_tiles,
+            )
+            drawn = aims.pixel_mask[..., None]
+            lets_through = torch.where(drawn, 1 - alphas[:, 0], 1)
+            seen = torch.where(drawn, renders[:, 0], 0) + lets_through * aims.backdrop
+            loss = size.times * unchecked_loss(seen, aims.rgb, aims.weights, aims.depth, aims.depth_weight)
+        wanted = [self._state.values, carried.means, carried.quats]
+        gradient, v_means, v_quats = torch.autograd.grad(loss, wanted, retain_graph=True)
+        taken, refused = adam_step(
+            AdamState(*self._held()),
+            gradient,
+            Bounds(self._rates, self._ceilings, size.smallest_log_scale),
+            size.decays,
+        )
+        for of, now in zip(self._held(), vars(taken).values(), strict=True):
+            of.copy_(now)
+        return _Step(
+            seen.detach(), (1 - lets_through[..., 0]).detach(), v_means, v_quats, loss.detach().double(), refused.sum()
+        )
+
+
+def _applied(matrices: Tensor, vectors: Tensor) -> Tensor:
+    """[T, n, k] of matrices [T, n, k, k] and vectors [n, k]."""
+    return (matrices * vectors[:, None, :]).sum(-1)
+
+
+class Captured:
+    """Work whose kernels are recorded once and then launched together; gives the same tensors each time."""
+
+    def __init__(self, work: Work, changes: Sequence[Tensor] = ()) -> None:
+        """`work` is done once before it is recorded, and what it `changes` put back."""
+        before = [of.clone() for of in changes]
+        aside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            work()
+        torch.cuda.current_stream().wait_stream(aside)
+        for of, was in zip(changes, before, strict=True):
+            of.copy_(was)
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._found = work()
+
+    def __call__(self) -> Any:
+        """Does the work."""
+        self._graph.replay()
+        return self._found
+
+
+class Unrecorded:
+    """The same work, done anew each time."""
+
+    def __init__(self, work: Work, changes: Sequence[Tensor] = ()) -> None:
+        self._work = work
+
+    def __call__(self) -> Any:
+        """Does the work."""
+        return self._work()
+
+
+_INT64 = torch.int64
