@@ -9,7 +9,7 @@ nothing, is checked. What is left to find on a real device are its kernels, its 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
@@ -33,6 +33,15 @@ WAITING = frozenset(("_local_scalar_dense", "nonzero", "masked_select", "_unique
 """Operations whose result, or its size, the host waits for."""
 FROM_EITHER = frozenset(("copy_", "_to_copy"))
 INDEXING = frozenset(("index", "index_put", "index_put_", "_index_put_impl_"))
+
+
+OTHERS = [
+    NAME,
+    pytest.param(
+        "cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device here: one is pretended")
+    ),
+]
+"""Devices that are not the CPU: the pretended one, and a real one where it is there."""
 
 
 @dataclass
@@ -146,6 +155,13 @@ def pretended() -> Iterator[Traffic]:
         patch.setattr(cuda, "gsplat_module", lambda: _Gsplat)
         patch.setattr(import_module("torch.optim.adam"), "_device_dtype_check_for_fused", lambda *_, **__: None)
         yield traffic
+
+
+@contextmanager
+def at_hand(device: str) -> Iterator[None]:
+    """One of `OTHERS` is there."""
+    with pretended() if device == NAME else nullcontext():
+        yield
 
 
 class _Gsplat:

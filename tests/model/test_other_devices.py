@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from model_scenes import TICK_NS, frames, rig, sliding, with_joints
-from pretended import NAME, Traffic, pretended
+from pretended import NAME, OTHERS, Traffic, at_hand, pretended
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.robot import ArmModel, ur_model
@@ -27,22 +27,24 @@ def followed(device: str, sets: list[FrameSet], steps: int = 8, arm: ArmModel | 
 
 
 @pytest.mark.parametrize("depth", [False, True])
-def test_a_scene_is_followed_there_as_here(depth: bool) -> None:
+@pytest.mark.parametrize("device", OTHERS)
+def test_a_scene_is_followed_there_as_here(device: str, depth: bool) -> None:
     sets = sliding(8, rig(56, 42), depth)
-    with pretended():
-        there = followed(NAME, sets)
+    with at_hand(device):
+        there = followed(device, sets)
     assert there == pytest.approx(followed("cpu", sets), abs=0.3)
 
 
-def test_an_arm_is_learnt_there_as_here() -> None:
+@pytest.mark.parametrize("device", OTHERS)
+def test_an_arm_is_learnt_there_as_here(device: str) -> None:
     arm, still = ur_model("ur5e"), frames(0, None, rig(56, 42), depth=True)
     turning = [np.array([0.3 + 0.1 * index, -1.2, 1.4, -1.6, -1.5, 0.0]) for index in range(4)]
     sets = [
         with_joints(replace(still, stamp=still.stamp + index * TICK_NS), arm.joint_names, q)
         for index, q in enumerate(turning)
     ]
-    with pretended():
-        there = followed(NAME, sets, arm=arm)
+    with at_hand(device):
+        there = followed(device, sets, arm=arm)
     assert there == pytest.approx(followed("cpu", sets, arm=arm), abs=0.3)
 
 

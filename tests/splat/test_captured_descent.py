@@ -200,7 +200,7 @@ def test_steps_are_those_of_the_compiled_library(
 
 def test_what_an_earlier_larger_set_left_does_not_show(device: torch.device) -> None:
     course = Course(2, -7.6)
-    taken(scene(240, 120, seed=1), course, descend_captured, device)
+    taken(scene(200, 80, seed=1), course, descend_captured, device)
     assert_alike(scene(30, 4), course, device)
     assert len(captured_descent._RECORDINGS) == 1
 

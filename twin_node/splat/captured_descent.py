@@ -1,12 +1,11 @@
 """Steps of Adam on CUDA: two recorded graphs of kernels per step, with gsplat's intersection of tiles between them.
 
 A step is some two hundred small kernels, and launching each of them takes longer than most of them run. What is
-recorded has fixed sizes: sets of Gaussians are filled up to the next of a few sizes with such as no camera sees.
+recorded has room for so many Gaussians: it is filled up with such as no camera sees.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Lock
@@ -24,10 +23,10 @@ from twin_node.splat.loss import unchecked_loss
 
 TILE = 16
 """Side of gsplat's tiles, pixels."""
-FEWEST, GROWTH = 256, 1.25
-"""The smallest size that Gaussians are filled up to, and how many times as large the next one is."""
-KEPT = 6
-"""Recordings that are held: as sizes change slowly, those of the last sets."""
+FEWEST, SPARE, WASTE = 256, 1.25, 3.0
+"""How much room a recording has: so many and so many times what is needed; and how much of it may be too much."""
+KEPT = 4
+"""Recordings that are held: how many Gaussians there are changes slowly."""
 FEWEST_MEETINGS = 1 << 20
 """Room for Gaussians that meet tiles; what is left free costs 4 bytes each and no time."""
 OPTIONS = Options(render_mode="RGB+D")
@@ -38,22 +37,42 @@ Work = Callable[[], Any]
 
 
 @dataclass(frozen=True)
-class _Size:
-    """What a recording is made for, and what else it does not ask again."""
+class _Setting:
+    """What a recording does not ask again, but for how many Gaussians there are."""
 
     device: torch.device
     times: int
     height: int
     width: int
-    learners: int
-    bystanders: int
-    carriages: int
     is_weighted: bool
     depth_weight: float | None
     """None: no depth is compared."""
     smallest_log_scale: float
     decays: Decays
     kind: type[Captured | Unrecorded]
+
+
+@dataclass(frozen=True)
+class _Room:
+    """How many there may be."""
+
+    learners: int
+    bystanders: int
+    carriages: int
+
+    @property
+    def total(self) -> int:
+        """Gaussians."""
+        return self.learners + self.bystanders
+
+    def holds(self, needed: _Room) -> bool:
+        """Whether it has room for `needed`, and not too much."""
+        is_enough = all(mine >= of for mine, of in zip(vars(self).values(), vars(needed).values(), strict=True))
+        return is_enough and self.total <= WASTE * (needed.total + FEWEST)
+
+    def with_some_to_spare(self) -> _Room:
+        """Room that will do for the next sets too."""
+        return _Room(*(FEWEST + int(SPARE * of) for of in vars(self).values()))
 
 
 def descend_captured(
@@ -68,38 +87,38 @@ def descend_captured(
     `kind`: whether kernels are recorded (None: they are), or launched one by one, to compare with.
     """
     times, height, width = aims.rgb.shape[:3]
-    size = _Size(
+    setting = _Setting(
         aims.rgb.device,
         times,
         height,
         width,
-        _filled(len(learners.rows)),
-        _filled(bystanders.means.shape[1]),
-        _filled(learners.turns.shape[1]),
         aims.weights is not None,
         None if aims.depth is None else aims.depth_weight,
         course.smallest_log_scale,
         course.decays,
         kind or Captured,
     )
+    needed = _Room(len(learners.rows), bystanders.means.shape[1], learners.turns.shape[1])
     with _LOCK:
-        recording = _RECORDINGS.pop(size, None) or _Recording(size)
-        _RECORDINGS[size] = recording  # the newest comes last
-        if len(_RECORDINGS) > KEPT:
-            _RECORDINGS.popitem(last=False)
-        return recording.descend(learners, bystanders, aims, course.steps)
+        return _recording_for(setting, needed).descend(learners, bystanders, aims, course.steps)
 
 
-_RECORDINGS: OrderedDict[_Size, _Recording] = OrderedDict()
+_RECORDINGS: list[_Recording] = []
+"""The one that was used last comes last."""
 _LOCK = Lock()
 
 
-def _filled(count: int) -> int:
-    """The size that so many are filled up to."""
-    size = FEWEST
-    while size < count:
-        size = int(size * GROWTH)
-    return size
+def _recording_for(setting: _Setting, needed: _Room) -> _Recording:
+    """The smallest of the recordings that have the room, or a new one where none has or all would waste too much."""
+    fitting = [one for one in _RECORDINGS if one.setting == setting and one.room.holds(needed)]
+    recording = min(fitting, key=lambda one: one.room.total, default=None)
+    if recording is None:
+        recording = _Recording(setting, needed.with_some_to_spare())
+    else:
+        _RECORDINGS.remove(recording)
+    _RECORDINGS.append(recording)
+    del _RECORDINGS[:-KEPT]
+    return recording
 
 
 @dataclass(frozen=True)
@@ -134,37 +153,39 @@ class _Step:
 
 
 class _Recording:
-    """The kernels of a step, for one size."""
+    """The kernels of a step."""
 
-    def __init__(self, size: _Size) -> None:
+    def __init__(self, setting: _Setting, room: _Room) -> None:
         """Nothing is recorded before the first step."""
-        self._size = size
+        self.setting, self.room = setting, room
         self._gsplat = gsplat_module()
-        t, n, m, k = size.times, size.learners, size.bystanders, size.carriages
-        image = (t, size.height, size.width)
-        self._tiles = -(-size.height // TILE), -(-size.width // TILE)
+        t, n, m, k = setting.times, room.learners, room.bystanders, room.carriages
+        image = (t, setting.height, setting.width)
+        self._tiles = -(-setting.height // TILE), -(-setting.width // TILE)
 
-        def room(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-            return torch.zeros(shape, dtype=dtype, device=size.device)
+        def empty(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.zeros(shape, dtype=dtype, device=setting.device)
 
-        self._state = AdamState(room(n, WIDTH).requires_grad_(), room(n, WIDTH), room(n, WIDTH), room(n, dtype=_INT64))
-        self._ceilings, self._rates = room(n), room(n, WIDTH)
-        self._turns, self._shifts, self._products = room(t, k, 3, 3), room(t, k, 3), room(t, k, 4, 4)
-        self._carriers = room(n, dtype=_INT64)
-        self._standing = Bystanders(room(t, m, 3), room(t, m, 4), room(m, 3), room(m), room(m, 3))
-        self._aims = Aims(
-            room(t, 4, 4),
-            room(t, 3, 3),
-            room(*image, 4),
-            room(*image, dtype=torch.bool),
-            room(*image, 3),
-            room(*image) if size.is_weighted else None,
-            None if size.depth_weight is None else room(*image),
-            size.depth_weight or 0.0,
+        self._state = AdamState(
+            empty(n, WIDTH).requires_grad_(), empty(n, WIDTH), empty(n, WIDTH), empty(n, dtype=_INT64)
         )
-        self._drawn_tiles = room(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.bool)
-        self._offsets = room(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.int32)
-        self._meetings = room(0, dtype=torch.int32)
+        self._ceilings, self._rates = empty(n), empty(n, WIDTH)
+        self._turns, self._shifts, self._products = empty(t, k, 3, 3), empty(t, k, 3), empty(t, k, 4, 4)
+        self._carriers = empty(n, dtype=_INT64)
+        self._standing = Bystanders(empty(t, m, 3), empty(t, m, 4), empty(m, 3), empty(m), empty(m, 3))
+        self._aims = Aims(
+            empty(t, 4, 4),
+            empty(t, 3, 3),
+            empty(*image, 4),
+            empty(*image, dtype=torch.bool),
+            empty(*image, 3),
+            empty(*image) if setting.is_weighted else None,
+            None if setting.depth_weight is None else empty(*image),
+            setting.depth_weight or 0.0,
+        )
+        self._drawn_tiles = empty(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.bool)
+        self._offsets = empty(t, 1, self._tiles[0] + 1, self._tiles[1], dtype=torch.int32)
+        self._meetings = empty(0, dtype=torch.int32)
         self._carry: Captured | Unrecorded | None = None
         self._learn: Captured | Unrecorded | None = None
         self._carried: _Carried | None = None
@@ -238,26 +259,26 @@ class _Recording:
         rows, columns = self._tiles
         mask = self._aims.pixel_mask
         assert mask is not None
-        below, beside = rows * TILE - self._size.height, columns * TILE - self._size.width
+        below, beside = rows * TILE - self.setting.height, columns * TILE - self.setting.width
         padded = F.pad(mask.float()[:, None], (0, beside, 0, below))
         self._drawn_tiles[:, :, :rows] = F.max_pool2d(padded, TILE) > 0
 
     def _do_step(self) -> _Step:
         if self._carry is None:
-            self._carry = self._size.kind(self._do_carry)
+            self._carry = self.setting.kind(self._do_carry)
         self._carried = carried = self._carry()
         rows, columns = self._tiles
         _, ids, meetings = self._gsplat.isect_tiles(
             carried.means2d, carried.radii, carried.depths, TILE, columns, rows + 1
         )
-        offsets = self._gsplat.isect_offset_encode(ids, self._size.times, columns, rows + 1)
+        offsets = self._gsplat.isect_offset_encode(ids, self.setting.times, columns, rows + 1)
         if len(meetings) > len(self._meetings):
             most = max(FEWEST_MEETINGS, 2 * len(meetings))
-            self._meetings, self._learn = torch.zeros(most, dtype=torch.int32, device=self._size.device), None
+            self._meetings, self._learn = torch.zeros(most, dtype=torch.int32, device=self.setting.device), None
         self._offsets.copy_(offsets.view_as(self._offsets))
         self._meetings[: len(meetings)] = meetings
         if self._learn is None:
-            self._learn = self._size.kind(self._do_learn, self._held())
+            self._learn = self.setting.kind(self._do_learn, self._held())
         step: _Step = self._learn()
         return step
 
@@ -276,22 +297,22 @@ class _Recording:
                 torch.cat([stands.means, means], 1),
                 None,
                 torch.cat([stands.quats, quats], 1),
-                torch.cat([stands.scales, values[:, 7:10].exp()]).expand(self._size.times, -1, -1),
+                torch.cat([stands.scales, values[:, 7:10].exp()]).expand(self.setting.times, -1, -1),
                 aims.viewmats[:, None],
                 aims.Ks[:, None],
-                self._size.width,
-                self._size.height,
+                self.setting.width,
+                self.setting.height,
                 eps2d=OPTIONS.eps2d,
                 near_plane=OPTIONS.near_plane,
                 far_plane=OPTIONS.far_plane,
                 radius_clip=OPTIONS.radius_clip,
-                opacities=opacities.expand(self._size.times, -1),
+                opacities=opacities.expand(self.setting.times, -1),
             )
         return _Carried(means, quats, opacities, colors, radii, means2d, depths, conics)
 
     def _do_learn(self) -> _Step:
         """The second half: what is seen, what it misses, and a step against that."""
-        carried, aims, size = self._carried, self._aims, self._size
+        carried, aims, setting = self._carried, self._aims, self.setting
         assert carried is not None and aims.pixel_mask is not None
         with torch.enable_grad():
             colors = carried.colors.expand(*carried.depths.shape, 3)
@@ -300,8 +321,8 @@ class _Recording:
                 carried.conics,
                 torch.cat([colors, carried.depths[..., None]], -1),
                 carried.opacities.expand_as(carried.depths),
-                size.width,
-                size.height,
+                setting.width,
+                setting.height,
                 TILE,
                 self._offsets,
                 self._meetings,
@@ -310,14 +331,14 @@ class _Recording:
             drawn = aims.pixel_mask[..., None]
             lets_through = torch.where(drawn, 1 - alphas[:, 0], 1)
             seen = torch.where(drawn, renders[:, 0], 0) + lets_through * aims.backdrop
-            loss = size.times * unchecked_loss(seen, aims.rgb, aims.weights, aims.depth, aims.depth_weight)
+            loss = setting.times * unchecked_loss(seen, aims.rgb, aims.weights, aims.depth, aims.depth_weight)
         wanted = [self._state.values, carried.means, carried.quats]
         gradient, v_means, v_quats = torch.autograd.grad(loss, wanted, retain_graph=True)
         taken, refused = adam_step(
             AdamState(*self._held()),
             gradient,
-            Bounds(self._rates, self._ceilings, size.smallest_log_scale),
-            size.decays,
+            Bounds(self._rates, self._ceilings, setting.smallest_log_scale),
+            setting.decays,
         )
         for of, now in zip(self._held(), vars(taken).values(), strict=True):
             of.copy_(now)

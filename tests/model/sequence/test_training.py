@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from model_scenes import camera
-from pretended import NAME, pretended
+from pretended import OTHERS, at_hand
 from sequence_scenes import block_recording, with_method
 
 from twin_node.geometry import pose
@@ -65,12 +65,13 @@ def assert_equal_models(a: Trainer, b: Trainer) -> None:
         torch.testing.assert_close(p, q, rtol=0, atol=0)
 
 
+@pytest.mark.parametrize("device", OTHERS)
 @pytest.mark.parametrize("method", METHODS)
-def test_training_on_another_device_is_as_here(tmp_path: Path, method: str) -> None:
+def test_training_on_another_device_is_as_here(tmp_path: Path, device: str, method: str) -> None:
     densely = DensifyParameters(begin=0.0, end=0.9, interval=4, reset_interval=6, gradient=1e-6)
     parameters, recording = with_method(method, densify=densely), block_recording()
-    with pretended():
-        trainer = Trainer(recording, dataclasses.replace(parameters, device=NAME))
+    with at_hand(device):
+        trainer = Trainer(recording, dataclasses.replace(parameters, device=device))
         there = run(trainer, 9)
         save_checkpoint(trainer, tmp_path / "part.safetensors")
         there += run(load_checkpoint(tmp_path / "part.safetensors").resume(recording))
