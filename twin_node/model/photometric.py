@@ -70,11 +70,10 @@ def goal_of(
         masks = _whole(masks, sizes)  # what is added is not drawn
     drawn = None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size)
     behind = None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops]
-    colours = [_colours(view) for view in views] if images is None else images
     return Goal(
         shots_of(cameras, drawn, behind, device),
         Targets(
-            torch.from_numpy(_together(colours, size)).to(device),
+            _colours(views, images, size, device),
             _weights([_counted(*of) for of in zip(views, masks, strict=True)], sizes, size, device),
             _depths(views, size, device),
         ),
@@ -93,9 +92,15 @@ def _whole(masks: Sequence[Bool | None], sizes: Sequence[tuple[int, int]]) -> li
     return [np.ones(size, bool) if mask is None else mask for mask, size in zip(masks, sizes, strict=True)]
 
 
-def _colours(view: View) -> Float32:
-    """[H, W, 3] the image, 0 to 1."""
-    return np.divide(view.rgb, np.float32(255), dtype=np.float32)
+def _colours(
+    views: Sequence[View], images: Sequence[Float32] | None, size: tuple[int, int], device: torch.device
+) -> Tensor:
+    """[C, *size, 3] the views' images, 0 to 1; another device is sent bytes, and makes numbers of them itself."""
+    if device.type != "cpu":
+        return torch.from_numpy(_together([view.rgb for view in views], size)).to(device).float().div_(255)
+    if images is None:
+        images = [np.divide(view.rgb, np.float32(255), dtype=np.float32) for view in views]
+    return torch.from_numpy(_together(images, size))
 
 
 def _weights(
@@ -104,11 +109,16 @@ def _weights(
     """[C, *size] ones where pixels count, scaled so that each view's add up to the same; None where all count."""
     if all(mask is None for mask in counted):
         return None
+    whole = _whole(counted, sizes)
+    pixels = size[0] * size[1]
+    scales = [1 / np.float32(max(int(np.count_nonzero(mask)), 1) / pixels) for mask in whole]
+    if device.type != "cpu":
+        own = torch.tensor(scales, dtype=torch.float32)[:, None, None].to(device)
+        return torch.from_numpy(_together(whole, size)).to(device) * own
     weights = np.zeros((len(counted), *size), np.float32)
-    for mask, (height, width), out in zip(_whole(counted, sizes), sizes, weights, strict=True):
-        share = np.float32(max(int(np.count_nonzero(mask)), 1) / out.size)
-        np.multiply(mask, 1 / share, out=out[:height, :width])
-    return torch.from_numpy(weights).to(device)
+    for mask, scale, (height, width), out in zip(whole, scales, sizes, weights, strict=True):
+        np.multiply(mask, scale, out=out[:height, :width])
+    return torch.from_numpy(weights)
 
 
 def _depths(views: Sequence[View], size: tuple[int, int], device: torch.device) -> Tensor | None:
