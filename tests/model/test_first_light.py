@@ -123,3 +123,18 @@ def test_who_stands_before_a_camera_that_joins_is_no_ground_to_it(depth: bool) -
         gone = looked(index, None)
     assert not gone.warnings
     assert not is_blind(gone.frames.views[0])
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_who_stands_before_a_camera_whose_images_change_their_size_is_no_ground_to_it(depth: bool) -> None:
+    coarse = (rig(56, 42)[0], *CAMERAS[1:])
+    model = WindowModel(QUICK)
+    for index in range(5):
+        model.look(frames(3 * index, None if index == 0 else -0.3 + 0.06 * index, CAMERAS, depth))
+    come = model.look(frames(15, 0.0, coarse, depth))
+    assert any("cam0 measures no depth" in warning for warning in come.warnings) != depth
+    assert is_blind(come.frames.views[0]) != depth
+    for index in range(6, 20):
+        gone = model.look(frames(3 * index, None, coarse, depth))
+    assert not gone.warnings
+    assert not is_blind(gone.frames.views[0])

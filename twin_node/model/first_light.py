@@ -24,7 +24,8 @@ class FirstLight:
     """
 
     def __init__(self) -> None:
-        self._lit: set[str] = set()
+        self._lit: dict[str, tuple[int, ...]] = {}
+        """The size of their images, by name: one that comes with another is a new camera."""
         self._since: dict[str, int] = {}
         """Stamps of the first images of cameras that have shown nothing yet, ns."""
         self._unsettled: set[str] = set()
@@ -38,10 +39,11 @@ class FirstLight:
     def heed(self, frames: FrameSet, is_still: bool = True) -> FrameSet:
         """`frames`, in which no pixel is valid of cameras that have shown nothing yet.
 
-        Nor of those without depth that come while the scene is not `is_still`, before other cameras. One that measures
+        Nor of those without depth that come while the scene is not `is_still`, before other cameras, or whose images
+        have become larger or smaller then: what was known of the old pixels is not of the new ones. One that measures
         depth is left out for `PATIENCE_S` at most: depth tells in the dark, too.
         """
-        if all(view.camera.name in self._lit for view in frames.views):
+        if all(self._knows(view) for view in frames.views):
             return frames
         views = tuple(view if self._is_lit(view, is_still) else _blind(view) for view in frames.views)
         return replace(frames, views=views)
@@ -55,12 +57,15 @@ class FirstLight:
         if not self.is_dark(frames):
             return self.heed(frames)
         for view in frames.views:
-            self._light(view.camera.name)
+            self._light(view)
         return frames
+
+    def _knows(self, view: View) -> bool:
+        return self._lit.get(view.camera.name) == view.rgb.shape[:2]
 
     def _is_lit(self, view: View, is_still: bool) -> bool:
         name = view.camera.name
-        if name in self._lit:
+        if self._knows(view):
             return True
         since = self._since.setdefault(name, view.stamp)
         waited = view.depth is not None and view.stamp - since >= PATIENCE_S * 1e9
@@ -70,18 +75,19 @@ class FirstLight:
         if view.depth is None and not is_still:
             self._unsettled.add(name)
             return False
-        self._light(name)
+        self._light(view)
         return True
 
-    def _light(self, name: str) -> None:
-        self._lit.add(name)
-        self._since.pop(name, None)
+    def _light(self, view: View) -> None:
+        self._lit[view.camera.name] = view.rgb.shape[:2]
+        self._since.pop(view.camera.name, None)
 
 
 _DARK = "has shown nothing so far, black or burnt out: it is left out; uncover it, or mend the light"
 _UNSETTLED = (
-    "measures no depth and has come while something moves before others: who stands there would be ground to it, so it "
-    "is left out until nothing moves; clear the cell, or start the twin anew with nobody in view"
+    "measures no depth and has come, or its images in another size, while something moves before others: who stands "
+    "there would be ground to it, so it is left out until nothing moves; clear the cell, or start the twin anew with "
+    "nobody in view"
 )
 
 
