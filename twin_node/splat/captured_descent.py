@@ -7,6 +7,7 @@ recorded has room for so many Gaussians: it is filled up with such as no camera 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
@@ -99,7 +100,8 @@ def descend_captured(
         kind or Captured,
     )
     needed = _Room(len(learners.rows), bystanders.means.shape[1], learners.turns.shape[1])
-    with _LOCK:
+    device = setting.device
+    with _LOCK, torch.cuda.device(device) if device.type == "cuda" else nullcontext():
         return _recording_for(setting, needed).descend(learners, bystanders, aims, course.steps)
 
 
