@@ -8,6 +8,9 @@ from pathlib import Path
 
 from twin_node.errors import TwinError
 
+FOLDERS = ("launch", "sim", "calibration")
+"""Data folders with files that users name."""
+
 
 class ResourceError(TwinError):
     """A file that ships with the package, or that the user named, is not there."""
@@ -33,7 +36,15 @@ def find(name: str | Path) -> Path:
         if _is_there(candidate):
             return candidate
     places = ", ".join(str(candidate.parent) for candidate in candidates) or str(path.parent)
-    raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); check the spelling of the path")
+    meant = _namesakes(path)
+    advice = f"did you mean {' or '.join(meant)}?" if meant else "check the spelling of the path"
+    raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); {advice}")
+
+
+def _namesakes(path: Path) -> list[str]:
+    """What of that name lies in a data folder, as `find` takes it."""
+    found = (folder / path.name for root in roots() if root.is_dir() for folder in map(root.joinpath, FOLDERS))
+    return list(dict.fromkeys(f"{one.parent.name}/{one.name}" for one in found if path.name and one.is_file()))
 
 
 def _is_there(path: Path) -> bool:
