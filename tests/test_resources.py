@@ -8,9 +8,7 @@ from twin_node.resources import ResourceError, find
 
 
 def test_a_name_without_its_folder_is_answered_with_what_there_is() -> None:
-    with pytest.raises(
-        ResourceError, match=r"^demo\.yaml: no such file .*did you mean launch/demo\.yaml or sim/demo"
-    ):
+    with pytest.raises(ResourceError, match=r"^demo\.yaml: no such file .*did you mean launch/demo\.yaml or sim/demo"):
         find("demo.yaml")
     assert find("launch/demo.yaml").is_file() and find("sim/demo.yaml").is_file()
 
