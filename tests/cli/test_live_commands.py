@@ -131,6 +131,14 @@ def test_what_is_played_is_recorded(tmp_path: Path, start: Callable[..., subproc
     assert set(heard) <= known
 
 
+def test_a_recording_without_its_folder_is_refused_before_it_is_announced(
+    tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    recorder = start("record", "--all", "-o", str(tmp_path / "nosuch" / "out.mcap"))
+    assert recorder.wait(PATIENCE_S) == 2
+    assert recorder.stdout is not None and "recording into" not in recorder.stdout.read()
+
+
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_what_a_driver_said_until_it_was_ended_is_kept(
     tmp_path: Path, start: Callable[..., subprocess.Popen[str]], ending: signal.Signals

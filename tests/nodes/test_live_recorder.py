@@ -172,8 +172,10 @@ def test_a_clock_that_is_put_back_begins_another_recording(tmp_path: Path, name:
         clock.stamp += step_s * 10**9
         studio.hear_diagnostics()
     studio.end()
-    assert "time was put back by 5.0 s" in studio.said[0] and studio.said[0].endswith(second)
-    assert f"{name}: 3 messages of 2 topics" in studio.said[1] and f"{second}: 4 messages" in studio.said[2]
+    begun, put_back, first_told, second_told = studio.said
+    assert begun == f"recording into {tmp_path / name}; Ctrl-C ends it"
+    assert "time was put back by 5.0 s" in put_back and put_back.endswith(second)
+    assert f"{name}: 3 messages of 2 topics" in first_told and f"{second}: 4 messages" in second_told
     for path, times in ((name, [0, 1, 2]), (second, [-3, -3, -2, -1])):
         with open_log(tmp_path / path) as log:
             heard = list(log.messages())
@@ -266,6 +268,7 @@ def test_who_records_nothing_is_told(
     studio.end()
     hint = "'twin_node doctor' tells what there is"
     assert studio.said == [
+        f"recording into {tmp_path / 'run.mcap'}; Ctrl-C ends it",
         f"nobody publishes {silent} yet; {hint}",
         f"{tmp_path / 'run.mcap'}: 0 messages, nothing came on {wanted}; {hint}",
     ]
@@ -278,7 +281,8 @@ def test_what_was_recorded_is_told_in_the_end(tmp_path: Path) -> None:
         clock.set(LOG_START + after * 1_500_000_000)
         studio.hear_diagnostics()
     studio.end()
-    [told] = studio.said
+    begun, told = studio.said
+    assert begun == f"recording into {tmp_path / 'run'}; Ctrl-C ends it"
     assert told.startswith(f"{tmp_path / 'run'}: 3 messages of 1 topic in 3.")
 
 

@@ -99,7 +99,6 @@ def _record(options: argparse.Namespace) -> None:
     }
     if options.topics:
         parameters["topics"] = [topic if topic.startswith("/") else f"/{topic}" for topic in options.topics]
-    print(f"recording into {output}; Ctrl-C ends it", flush=True)
     run_single("recorder", parameters, "record")
 
 

@@ -114,6 +114,7 @@ class LiveRecorderNode(Node):
         self._timers.every(DISCOVERY_S, self._find_more)
         self._timers.every(FLUSH_TIMER_S, self._flush)
         if self._parameters.tells:
+            self._say(f"recording into {path}; Ctrl-C ends it")
             self._timers.alarm(self._tell_of_silence).set(SILENCE_S)
 
     def on_activate(self) -> None:
