@@ -13,11 +13,11 @@ from twin_node.model.rendering import Splats
 from twin_node.model.rotations import conjugate, quat_product, rotate
 from twin_node.model.writes import Writes
 from twin_node.scene import Tier
-from twin_node.splat import AdamState, Bounds, Decays, adam_step
+from twin_node.splat import AdamState, Bounds, Decays, adam_step, columns
 
-MEAN, QUAT, LOG_SCALE, LOGIT, RGB = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 11), slice(11, 14)
+MEAN, QUAT, LOG_SCALE, LOGIT, RGB = columns.MEAN, columns.QUAT, columns.LOG_SCALE, columns.LOGIT, columns.RGB
 """Columns of `Gaussians.values`."""
-WIDTH = 14
+WIDTH = columns.WIDTH
 IDS = 2**32
 """How many ids there are, as clouds tell them: enough for ten days of a crowded cell at 30 Hz, and then used again."""
 SMALLEST = -7.6

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-LOG_SCALES, COLORS = slice(7, 10), slice(11, 14)
-"""Columns of the log scales and of the colour among the 14 of `Learners.values`."""
+from twin_node.splat.columns import LOG_SCALE, RGB
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def adam_step(state: AdamState, gradient: Tensor, bounds: Bounds, decays: Decays
     v.addcmul_(gradient, gradient, value=1 - second)
     update = (m / (1 - first**k)).div_((v / (1 - second**k)).sqrt_().add_(1e-12))
     values = state.values - update.mul_(bounds.rates * pulled[:, None])
-    scales, rgb = values[:, LOG_SCALES], values[:, COLORS]
+    scales, rgb = values[:, LOG_SCALE], values[:, RGB]
     torch.minimum(scales, bounds.ceilings[:, None], out=scales)
     scales.clamp_(min=bounds.smallest_log_scale)
     rgb.clamp_(0, 1)

@@ -17,9 +17,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from twin_node.splat.adam import AdamState, Bounds, Decays, adam_step
-from twin_node.splat.arguments import Options, non_finite
+from twin_node.splat.arguments import non_finite
+from twin_node.splat.columns import LOG_SCALE, LOGIT, MEAN, QUAT, RGB, WIDTH
 from twin_node.splat.cuda import gsplat_module
-from twin_node.splat.learning import WIDTH, Aims, Bystanders, Course, Descended, Learners
+from twin_node.splat.learning import OPTIONS, Aims, Bystanders, Course, Descended, Learners
 from twin_node.splat.loss import unchecked_loss
 
 TILE = 16
@@ -30,11 +31,11 @@ KEPT = 4
 """Recordings that are held: how many Gaussians there are changes slowly."""
 FEWEST_MEETINGS = 1 << 20
 """Room for Gaussians that meet tiles; what is left free costs 4 bytes each and no time."""
-OPTIONS = Options(render_mode="RGB+D")
 NOBODY = (0.0,) * 3 + (1.0, 0.0, 0.0, 0.0) + (-12.0,) * 3 + (-30.0,) + (0.0,) * 3
 """Attributes of a Gaussian that fills up: no camera sees it, so that nothing pulls at it."""
 
 Work = Callable[[], Any]
+_INT64 = torch.int64
 
 
 @dataclass(frozen=True)
@@ -291,15 +292,15 @@ class _Recording:
             of.index_select(1, self._carriers) for of in (self._turns, self._shifts, self._products)
         )
         with torch.enable_grad():
-            means = _applied(turns, values[:, 0:3]) + shifts
-            quats = _applied(products, values[:, 3:7])
-            opacities = torch.cat([stands.opacities, values[:, 10].sigmoid()])
-            colors = torch.cat([stands.colors, values[:, 11:14]])
+            means = _applied(turns, values[:, MEAN]) + shifts
+            quats = _applied(products, values[:, QUAT])
+            opacities = torch.cat([stands.opacities, values[:, LOGIT.start].sigmoid()])
+            colors = torch.cat([stands.colors, values[:, RGB]])
             radii, means2d, depths, conics, _ = self._gsplat.fully_fused_projection(
                 torch.cat([stands.means, means], 1),
                 None,
                 torch.cat([stands.quats, quats], 1),
-                torch.cat([stands.scales, values[:, 7:10].exp()]).expand(self.setting.times, -1, -1),
+                torch.cat([stands.scales, values[:, LOG_SCALE].exp()]).expand(self.setting.times, -1, -1),
                 aims.viewmats[:, None],
                 aims.Ks[:, None],
                 self.setting.width,
@@ -386,6 +387,3 @@ class Unrecorded:
     def __call__(self) -> Any:
         """Does the work."""
         return self._work()
-
-
-_INT64 = torch.int64

@@ -6,11 +6,9 @@ import torch
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite
-from twin_node.splat.learning import Aims, Bystanders, Course, Descended, Learners
+from twin_node.splat.arguments import non_finite
+from twin_node.splat.learning import OPTIONS, Aims, Bystanders, Course, Descended, Learners
 from twin_node.splat.request import fill, new_request
-
-_OPTIONS = Options(render_mode="RGB+D")
 
 
 def descend_compiled(
@@ -107,7 +105,7 @@ class _Call:
         times, height, width = self.rgb.shape[:3]
         count = self.standing + self.learned
         return new_request(
-            _OPTIONS,
+            OPTIONS,
             batches=times,
             cameras=1,
             gaussians=count,

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from twin_node.splat.adam import Decays
-from twin_node.splat.arguments import require_layout
+from twin_node.splat.arguments import Options, require_layout
+from twin_node.splat.columns import WIDTH
 
-WIDTH = 14
-"""Columns of `Learners.values`: mean (3), quaternion (4), log scale (3), opacity logit, colour (3)."""
+OPTIONS = Options(render_mode="RGB+D")
+"""How all is drawn."""
 
 
 @dataclass(frozen=True)
