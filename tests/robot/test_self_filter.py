@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,9 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.geometry import looking_at
-from twin_node.model.robot_links import arm_depth
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, robot_mask, ur_model
-from twin_node.scene import Camera, Float32
+from twin_node.scene import Camera
 
 MODEL = ur_model("ur5e")
 
@@ -101,39 +99,3 @@ def test_calibration_error_grows_the_mask() -> None:
 def test_joints_that_are_not_finite_are_refused() -> None:
     with pytest.raises(RobotError, match="finite"):
         robot_mask(MODEL, np.full(6, np.nan), camera_at(np.array([2.0, 0.0, 1.0]), np.zeros(3)))
-
-
-def seen_by_depth(camera: Camera, q: NDArray[np.float64], wall_m: float) -> tuple[NDArray[np.bool_], Float32]:
-    """The arm's grown mask, and the depth of the arm before a wall that is only measured there."""
-    mask = robot_mask(MODEL, q, camera)
-    surface = arm_depth(MODEL, q, camera, mask)
-    return mask, np.where(surface > 0, surface, np.where(mask, wall_m, 0)).astype(np.float32)
-
-
-@pytest.mark.parametrize(("row", "column"), [(24, 31), (27, 34)])
-def test_what_depth_shows_in_front_of_the_arm_is_not_the_arm(row: int, column: int) -> None:
-    """Before the wrist; and before the base, where the wrist is nearer to the camera than the hand is."""
-    camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))
-    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
-    _, surface = seen_by_depth(camera, q, wall_m=0.0)
-    mask = robot_mask(MODEL, q, camera, depth=surface)
-    hand = np.s_[row - 2 : row + 3, column - 2 : column + 3]
-    held_up = surface.copy()
-    held_up[hand] = surface[row, column] - 0.25
-    expected = mask.copy()
-    expected[hand] = False
-    np.testing.assert_array_equal(robot_mask(MODEL, q, camera, depth=held_up), expected)
-
-
-def test_what_depth_shows_past_the_arm_is_not_the_arm_but_for_its_edge() -> None:
-    camera = camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]), focal=110.0)
-    q = np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
-    grown, surface = seen_by_depth(camera, q, wall_m=3.0)
-    arm = (surface > 0) & (surface < 2.9)
-    edge = cv2.dilate(arm.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    for error in (-0.02, 0.0, 0.02):
-        mask = robot_mask(MODEL, q, camera, depth=np.where(surface > 0, surface + np.float32(error), 0))
-        assert (mask & edge)[grown].sum() == (edge & grown).sum(), "the arm and its edge stay its own"
-        assert not (mask & grown & ~edge).any(), "the wall beside it is seen"
-    unmeasured = robot_mask(MODEL, q, camera, depth=np.where(arm, surface, 0))
-    np.testing.assert_array_equal(unmeasured, grown)

@@ -12,12 +12,13 @@ from twin_node.bench.mask_truth import MovingParts
 from twin_node.bench.text_table import markdown_table, percent
 from twin_node.cell import CellSource, Scenario
 from twin_node.model import MovingMask, SeedParameters
+from twin_node.model.arm_mask import robot_masks
 from twin_node.model.balance import balance
 from twin_node.model.camera_mask import seen_by
 from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.seeding import find_plane, find_surfaces
 from twin_node.nodes.log_source import DEFAULT_WIDTH
-from twin_node.robot import ArmModel, arm_model, robot_masks
+from twin_node.robot import ArmModel, arm_model
 from twin_node.scene import Bool, FrameSet, UInt8
 
 SCENARIOS = ("conveyor", "reach_in", "cross", "demo")

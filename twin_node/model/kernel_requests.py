@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 24
+INTERFACE_VERSION = 25
 
 
 class MaskRules(ctypes.Structure):
@@ -191,6 +191,17 @@ class HeldRequest(KernelRequest):
         ("points", c_int64),
         *((name, c_int32) for name in ("skirt", "around", "count", "threads")),
         ("views", ctypes.POINTER(HeldView)),
+    )
+
+
+class CapsuleRequest(KernelRequest):
+    """`model::CapsuleRequest`."""
+
+    KERNEL, RETURNS = "capsules", None
+    _fields_ = (
+        *((name, c_int64) for name in ("points", "capsules")),
+        ("shortest_square", c_double),
+        *((name, c_void_p) for name in ("ends", "radii", "at", "gaps", "nearest", "shares")),
     )
 
 

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from twin_node.geometry import quat_from_rotation
+from twin_node.model.capsules import nearest_capsules
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.nodes import Nodes
 from twin_node.model.rays import look, pixel_rays
@@ -61,9 +62,9 @@ class RobotLinks:
     def nearest(self, joints: JointSample, points: Float64) -> NDArray[np.int64]:
         """[n] rows of the nodes of the links on or in whose capsules points [n, 3] lie, -1 where they lie on none."""
         placed = self._placed(joints)
-        distance = _distances(placed, points)
-        rows = self._rows.numpy()[np.searchsorted(self._links, placed.links[distance.argmin(1)])]
-        return np.where(distance.min(1) < CLOSE_M, rows, -1)
+        found = nearest_capsules(placed.ends, placed.radii, points.T)
+        rows = self._rows.numpy()[np.searchsorted(self._links, placed.links[found.capsules])]
+        return np.where(found.gaps < CLOSE_M, rows, -1)
 
     def beneath(self, carriers: NDArray[np.int64], points: Float64, depths: Float64) -> Float64:
         """[n, 3] m: `points` [n, 3] in the frames of the links' nodes `carriers` [n], sunk into the nearest capsule of
@@ -93,15 +94,15 @@ class RobotLinks:
         rows = gaussians.static_rows
         points = gaussians.means[rows].cpu().double().numpy()
         placed = self._placed(joints)
-        distance = _distances(placed, points)
+        found = nearest_capsules(placed.ends, placed.radii, points.T)
         on_arm, beside = np.zeros(len(points), bool), np.zeros(len(points), bool)
         for mask, camera in zip(masks, cameras, strict=True):
             seen = look(camera, points)
             covered = mask[seen.rows, seen.columns]
             on_arm |= seen.inside & covered
             beside |= seen.inside & ~covered
-        own = on_arm & (distance.min(1) < np.where(beside, SKIN_M, ASTRAY_M))
-        link = placed.links[distance.argmin(1)]
+        own = on_arm & (found.gaps < np.where(beside, SKIN_M, ASTRAY_M))
+        link = placed.links[found.capsules]
         carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
         gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes)
 
@@ -146,12 +147,6 @@ def _entered(a: Float64, b: Float64, c: Float64) -> Float64:
     root = b**2 - a * c
     t = (-b - np.sqrt(np.maximum(root, 0))) / np.maximum(a, 1e-12)
     return np.where((root >= 0) & (t > 0), t, np.inf)
-
-
-def _distances(placed: PlacedCapsules, points: NDArray[np.floating]) -> Float64:
-    """[n, C] m from points [n, 3] to the capsules' surfaces; negative inside."""
-    apart: Float64 = np.linalg.norm(points[:, None] - _feet(placed.ends, points), axis=-1) - placed.radii
-    return apart
 
 
 def _feet(ends: Float64, points: NDArray[np.floating]) -> Float64:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from twin_node.model.aligning import CATCH_UPS
+from twin_node.model.arm_mask import robot_masks
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.balance import balance_joining
 from twin_node.model.decisions import Decision
@@ -33,7 +34,7 @@ from twin_node.model.stages import LeftS, OnStage, Proceed, endless, unhurried, 
 from twin_node.model.step_budget import Part, StepBudget
 from twin_node.model.sweep import Shell, shell_around
 from twin_node.model.tracker import Tracker
-from twin_node.robot import ArmModel, robot_masks
+from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Camera, Exposure, Float32, FrameSet, GaussianCloud, NodeStates, Tier, TwinState, View
 from twin_node.splat.library import torch_alone
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.robot.kinematics import forward_kinematics, place_capsules
 from twin_node.robot.model import ArmModel
-from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, UInt8
+from twin_node.scene import Bool, Camera, Float64, UInt8
 
 _RIM_POINTS = 16
 """Corners of the polygon drawn around each end's outline; it stands out by less than 2 % of the radius."""
@@ -18,10 +20,6 @@ _SIGMAS = 2.0
 """How many standard errors of the camera's pose the arm is grown by (95 % of errors in one direction)."""
 _PIXEL_MARGIN = 0.5
 """Pixels added around a polygon, because OpenCV fills to the nearest pixel and rounds corners."""
-_CLEAR_M, _DEPTH_SHARE = 0.03, 0.01
-"""What is measured so far off the grown arm is not the arm, m and as a share of the depth: errors of depth."""
-_AROUND = np.ones((3, 3), np.uint8)
-"""A pixel and its neighbours: at edges depth cameras measure what is nowhere, and images blend two colours."""
 _WIDEST = 0.999
 """Sine of the largest half angle of an end's cone of rays: a camera that nearly touches an end sees it up to here."""
 _SUBPIXEL_BITS = 4
@@ -30,15 +28,23 @@ _FAR_PIXEL = 2.0**24
 """Corners are kept within this many pixels, so that they fit OpenCV's fixed-point numbers."""
 
 
-def robot_mask(
-    model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03, depth: Float32 | None = None
-) -> Bool:
-    """True [H, W] where the arm, at joint angles [J] (rad), may be seen by the camera.
+class Outline(NamedTuple):
+    """The grown arm before one camera."""
+
+    mask: Bool
+    """[H, W] where it may be seen."""
+    ends: Float64
+    """[C, 2, 3] m of the axes of its capsules, in the optical frame."""
+    radii: Float64
+    """[C] m."""
+
+
+def robot_outline(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03) -> Outline:
+    """Where the arm, at joint angles [J] (rad), may be seen by the camera.
 
     Every capsule is grown by `margin_m` plus twice the camera's calibration error `sigma_m`. Its outline is the convex
-    hull of those of its two end spheres; every pixel whose centre is inside counts, unless `depth` [H, W] (m, 0 where
-    it is not measured) shows something in front of the arm or past it there. Raises `RobotError` for joint angles that
-    are not usable.
+    hull of those of its two end spheres; every pixel whose centre is inside counts. Raises `RobotError` for joint
+    angles that are not usable.
     """
     placed = place_capsules(model, forward_kinematics(model, q))
     ends = placed.ends @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
@@ -54,45 +60,12 @@ def robot_mask(
         rays = _pixel_rays(camera)
         for index in around:
             mask |= (_ray_segment_distance(rays, ends[index]) <= radii[index]).astype(np.uint8)
-    covered = mask.astype(np.bool_)
-    return covered if depth is None else covered & ~_others(covered, depth, camera, ends, radii)
+    return Outline(mask.astype(np.bool_), ends, radii)
 
 
-def robot_masks(model: ArmModel | None, frames: FrameSet) -> tuple[Bool | None, ...]:
-    """Per view `robot_mask` [H, W] by the set's joints and measured depth; None where arm or joints are not known.
-
-    Raises `RobotError` for joints that are not the model's.
-    """
-    if model is None or frames.joints is None:
-        return (None,) * len(frames.views)
-    q = model.ordered_positions(frames.joints)
-    return tuple(robot_mask(model, q, view.camera, depth=view.depth) for view in frames.views)
-
-
-def _others(covered: Bool, depth: Float32, camera: Camera, ends: Float64, radii: Float64) -> Bool:
-    """[H, W] those pixels of `covered` [H, W] that show something else than capsules `ends` [C, 2, 3], radii [C].
-
-    A point well off every capsule. In front of the arm, nearer to the camera than the place on an axis that is nearest
-    to it, single pixels do not count; past it, where the arm was only grown to, all neighbours must be past it too.
-    """
-    rows, columns = np.nonzero(covered & (depth > 0))
-    z, K = depth[rows, columns].astype(np.float64), camera.K
-    points = np.stack([(columns + 0.5 - K[0, 2]) / K[0, 0] * z, (rows + 0.5 - K[1, 2]) / K[1, 1] * z, z])
-    off, nearer = np.full(len(z), np.inf), np.zeros(len(z), np.bool_)
-    for (begin, end), radius in zip(ends, radii, strict=True):
-        axis, apart = end - begin, points - begin[:, None]  # coordinate by coordinate: four times as fast
-        share = axis @ apart / max(float(axis @ axis), 1e-18)
-        apart -= axis[:, None] * np.minimum(np.maximum(share, 0, out=share), 1, out=share)
-        gap = np.sqrt(np.square(apart).sum(0)) - radius
-        closer = gap < off
-        np.copyto(off, gap, where=closer)
-        np.copyto(nearer, apart[2] < 0, where=closer)
-    clear = off > _CLEAR_M + _DEPTH_SHARE * z
-    before, past = np.zeros(covered.shape, np.uint8), (~covered).astype(np.uint8)
-    before[rows, columns] = clear & nearer
-    past[rows, columns] = clear & ~nearer
-    opened = cv2.morphologyEx(before, cv2.MORPH_OPEN, _AROUND)
-    return (opened > 0) | (cv2.erode(past, _AROUND) > 0)
+def robot_mask(model: ArmModel, q: NDArray[np.floating], camera: Camera, margin_m: float = 0.03) -> Bool:
+    """The mask [H, W] of `robot_outline`."""
+    return robot_outline(model, q, camera, margin_m).mask
 
 
 def _rims(ends: Float64, radii: Float64) -> Float64:

@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 24;
+constexpr int32_t kInterfaceVersion = 25;
 
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
@@ -114,6 +114,18 @@ struct HeldRequest {
   int32_t skirt, around;  // pixels around what is active, and around points
   int32_t count, threads;
   const HeldView *views;  // [count]
+};
+
+// Points before an arm's capsules.
+struct CapsuleRequest {
+  int64_t points, capsules;
+  double shortest_square;  // m^2 of an axis that is divided by
+  const double *ends;      // [capsules, 2, 3] m
+  const double *radii;     // [capsules] m
+  const double *at;        // [3, points] m
+  double *gaps;            // [points] written, m: to the nearest surface, negative inside
+  int64_t *nearest;        // [points] written: whose that is, of equally near ones the first
+  double *shares;          // [points] written, 0 to 1: where on its axis the nearest place is
 };
 
 // One view of points that move, and of the STATIC Gaussians.

@@ -3,6 +3,7 @@
 #include "../../native/crew.h"
 #include "backdrop.h"
 #include "births.h"
+#include "capsules.h"
 #include "cells.h"
 #include "damped.h"
 #include "deaths.h"
@@ -76,6 +77,8 @@ void model_judge_velocities(const model::JudgeRequest *request) { model::judge_v
 void model_solve_velocities(const model::VelocityRequest *request) { model::solve_velocities(*request); }
 
 void model_move_velocities(const model::MoveRequest *request) { model::move_velocities(*request); }
+
+void model_capsules(const model::CapsuleRequest *request) { model::find_nearest_capsules(*request); }
 
 void model_take_damped(const model::DampedRequest *request) { model::take_damped(*request); }
 
