@@ -16,7 +16,7 @@ from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleState, Sighting
 from twin_node.rig.calibrate.bundle_equations import Change
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
-from twin_node.rig.calibrate.bundle_solver import board_pays, minimise, solve_bundle
+from twin_node.rig.calibrate.bundle_solver import board_pays, could_pay, minimise, solve_bundle
 from twin_node.rig.calibrate.course import Course, smooth_course, still_course
 from twin_node.rig.calibrate.normal_equations import NormalEquations, inverse_band
 from twin_node.rig.calibrate.rotations import moved
@@ -260,6 +260,7 @@ def test_a_bent_board_is_found_bent_and_a_flat_one_flat() -> None:
         seen = sightings_of(state, rng, bend=bend)
         rigid, free = solve_bundle(state, seen), solve_bundle(state, seen, BundleOptions(board=BoardFreedom.BENT))
         assert board_pays(rigid, free) is expected
+        assert could_pay(rigid, seen, BundleOptions(board=BoardFreedom.BENT)) is expected
         if bend is not None:
             found = (free.state.points - BOARD.points)[:, 2]
             assert abs(np.ptp(found) - np.ptp(bow[:, 2])) < 0.2 * np.ptp(bow[:, 2])

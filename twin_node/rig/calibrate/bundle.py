@@ -19,7 +19,7 @@ from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.course import Course
 from twin_node.rig.calibrate.course_prior import Hands
 from twin_node.rig.calibrate.lenses import Lens
-from twin_node.scene import Float64
+from twin_node.scene import Bool, Float64
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,8 @@ class BundleResult:
     layout: Layout
     left_out: tuple[Sighting, ...]
     """Sightings with too few corners that fit; the corners are those that were found."""
+    kept: Bool
+    """[V, P] which corners of the board were used, of all sightings that were given."""
 
     @cached_property
     def covariance(self) -> Float64:

@@ -98,6 +98,11 @@ class BundleEquations:
         out[np.concatenate([late.views for late in self.late])] = (1 + others / told) / told
         return out
 
+    def promise(self, change: Change) -> float:
+        """By how much a solution lowers half the sum of squares, were everything straight."""
+        inner, outer = self.normal.slopes
+        return float(inner @ change.inner + outer @ change.outer) / 2
+
     def solution(self, damping: float) -> Change:
         """The change that the residuals call for, the diagonal raised by a share."""
         inner, outer = self.normal.solution(damping)

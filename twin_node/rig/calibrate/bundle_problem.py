@@ -117,12 +117,13 @@ class BundleProblem:
         self.hands = Hands()
         """How a board is moved: at first; from the second round on what was measured."""
         self._step = corner_step(start.points)
-        self._tolerance = BOARD_TOLERANCE * self._step
+        self.tolerance = BOARD_TOLERANCE * self._step
+        """1 sigma of a corner's place where each moves by itself, m; infinite: it may be anywhere."""
 
     def measure_board(self, state: BundleState) -> None:
         """Sets what the board's corners may be off by to what they are off by."""
         displacement = float(np.sqrt(np.mean((state.points - self._start.points) ** 2)))
-        self._tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
+        self.tolerance = max(displacement, BOARD_TOLERANCE_FLOOR * self._step)
 
     def measure_motion(self, look: Look, kept: Bool, noise_px: Float64) -> None:
         """Sets what hands and stamps may be off by to what they are off by, beyond what noise of the corners tells."""
@@ -323,7 +324,7 @@ class BundleProblem:
     def _shape(self, state: BundleState) -> Float64:
         """What of the board's shape is held, in sigmas."""
         off = (state.points - self._start.points).ravel()
-        return off / self._tolerance if self._sheet is None else np.linalg.pinv(self._sheet) @ off / SHEET_SIGMA
+        return off / self.tolerance if self._sheet is None else np.linalg.pinv(self._sheet) @ off / SHEET_SIGMA
 
     def _slopes(self, look: Look, weights: Float64, views: NDArray[np.int64]) -> _Slopes:
         """How what the images `views` of one camera show changes."""
@@ -379,7 +380,7 @@ class BundleProblem:
             )
         if layout.shape:
             columns = np.arange(layout.board.start, layout.board.stop)
-            sigma = self._tolerance if self._sheet is None else SHEET_SIGMA
+            sigma = self.tolerance if self._sheet is None else SHEET_SIGMA
             equations.add_outer(columns, np.eye(len(columns)) / sigma**2, -self._shape(state) / sigma)
 
 
