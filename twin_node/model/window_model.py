@@ -11,6 +11,7 @@ import torch
 
 from twin_node.model.aligning import CATCH_UPS
 from twin_node.model.arm_mask import robot_masks
+from twin_node.model.arm_sight import ArmSight
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.balance import balance_joining
 from twin_node.model.decisions import Decision
@@ -100,6 +101,7 @@ class WindowModel:
         self._light = FirstLight()
         self._far_depth: FarDepth | None = None
         """None before the first set."""
+        self._arm_sight = ArmSight(arm)
         self._exposures = Exposures()
         self._step_budget = StepBudget({Part.CATCH_UP: CATCH_UPS, Part.FIT: self.parameters.track.steps})
         self._newest: _Shown | None = None
@@ -175,6 +177,7 @@ class WindowModel:
         frames = far_depth.without(frames)
         frames = self._light.begin(frames) if is_first else self._light.heed(frames, self._mask.is_still)
         robots = robot_masks(self._arm, frames)
+        self._arm_sight.heed(frames)
         if begun is None:
             begun, levelled = self._begin(frames, robots)
         else:
@@ -186,6 +189,7 @@ class WindowModel:
         self.on_stage("mask")
         self._looked_at = frames.stamp
         model = self._newest or self._shown(begun)
+        warned = (self._light, far_depth, self._arm_sight, levelled, self._mask)
         return TwinState(
             frames.stamp,
             frames,
@@ -193,7 +197,7 @@ class WindowModel:
             model.nodes,
             moving,
             robots,
-            self._light.warnings + far_depth.warnings + levelled.warnings + self._mask.warnings,
+            tuple(line for one in warned for line in one.warnings),
             levelled.exposures,
             None if is_first else model.stamp,
         )
