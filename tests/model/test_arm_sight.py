@@ -12,7 +12,7 @@ from twin_node.geometry import looking_at
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.arm_sight import ArmSight
 from twin_node.model.robot_links import arm_depth
-from twin_node.robot import robot_mask, ur_model
+from twin_node.robot import ArmModel, robot_mask, ur_model
 from twin_node.scene import Camera, FrameSet, JointSample, View
 
 ARM = ur_model("ur5e")
@@ -37,10 +37,10 @@ def seen(stamp_s: float, q: NDArray[np.float64] = Q, hand: bool = False) -> Fram
     return FrameSet(int(stamp_s * 1e9), tuple(views), joints=joints)
 
 
-def told_by(frames: FrameSet, over_s: float = 1.5) -> tuple[str, ...]:
-    """What is told of a set that goes on."""
-    sight = ArmSight(ARM)
-    for at in np.arange(0.0, over_s, 0.1):
+def told_by(frames: FrameSet, arm: ArmModel = ARM) -> tuple[str, ...]:
+    """What is told of a set that goes on, taken for that of `arm`."""
+    sight = ArmSight(arm)
+    for at in np.arange(0.0, 1.5, 0.1):
         sight.heed(replace(frames, stamp=int(at * 1e9)))
     return sight.warnings
 
@@ -74,11 +74,22 @@ def test_an_arm_that_is_about_where_it_should_be_is_nothing_to_tell(X: NDArray[n
     assert told_by(moved(seen(0), X)) == ()
 
 
-@pytest.mark.parametrize("X", [turned(180), turned(90), shifted(0.25, 0, 0)])
-def test_a_rig_in_another_base_is_told(X: NDArray[np.float64]) -> None:
-    (line,) = told_by(moved(seen(0), X))
+def test_a_rig_that_is_far_off_is_told() -> None:
+    (line,) = told_by(moved(seen(0), shifted(0.25, 0, 0)))
     assert "base_link" in line
     assert "hand-eye" in line
+
+
+@pytest.mark.parametrize("degrees", [180, 90, -90])
+def test_a_rig_in_a_base_that_is_turned_is_told_by_how_much_to_turn_it(degrees: int) -> None:
+    (line,) = told_by(moved(seen(0), turned(degrees)))
+    assert f"by {-degrees if abs(degrees) == 90 else degrees} degrees about z against base_link" in line
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur10e"])
+def test_an_arm_of_another_size_is_told_by_its_name(name: str) -> None:
+    (line,) = told_by(seen(0), arm=ur_model(name))
+    assert f"it looks like a ur5e and not like a {name}" in line
 
 
 def test_joints_of_another_order_are_told() -> None:

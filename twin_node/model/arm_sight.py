@@ -1,14 +1,17 @@
-"""Whether cameras see the arm where its joints and the rig say that it is: a rig in another base, a hand-eye pose that
-is far off and joints of another arm show there, and nowhere else while the twin runs."""
+"""Whether cameras see the arm where its joints and the rig say that it is: another arm, a rig in another base, a
+hand-eye pose that is far off and joints in another order show there, and nowhere else while the twin runs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from twin_node.robot import ArmModel, PlacedCapsules, forward_kinematics, place_capsules
-from twin_node.scene import FrameSet, JointSample, View
+from twin_node.geometry import pose, rotation_from_quat
+from twin_node.robot import UR_NAMES, ArmModel, PlacedCapsules, forward_kinematics, place_capsules, ur_model
+from twin_node.scene import Float64, FrameSet, View
 
 EVERY_NS = 200_000_000
 """Time between two looks: nothing here changes from set to set."""
@@ -23,6 +26,10 @@ MEMORY_S = 1.0
 PAST = 0.2
 """Share of places seen past that is too much. In the simulated cell none are with a rig that is right or 5 cm off, 5 %
 at 8 cm, 20 to 60 at 12 cm, and 93 % in a base that is turned by 180 degrees."""
+FITS = 0.05
+"""Share at which another arm, or another base, is where this one should be."""
+TURNS_DEG = (180, 90, -90)
+"""By which one base is turned against another: a UR's own against `base_link`, and who mounts it as he stands."""
 
 
 class ArmSight:
@@ -33,6 +40,8 @@ class ArmSight:
         self._looked: int | None = None
         self._past: dict[str, float] = {}
         """Per camera that has told anything: share of places that it sees past, averaged over time."""
+        self._cause = ""
+        """What would explain it, as far as that has been found."""
 
     def heed(self, frames: FrameSet) -> None:
         """Takes in a set with its joints. Raises `RobotError` for joints that are not the arm's."""
@@ -42,34 +51,67 @@ class ArmSight:
         if since_ns < EVERY_NS:
             return
         self._looked = frames.stamp
-        uptake = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S)
-        placed = self._placed(self._arm, frames.joints)
-        for view in frames.views:
-            share, name = seen_past(placed, view), view.camera.name
-            if share is not None:
-                before = self._past.get(name, 0.0)
-                self._past[name] = before + uptake * (share - before)
+        q = self._arm.ordered_positions(frames.joints)
+        uptake, shares = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S), _shares(self._arm, q, frames.views)
+        for name, share in shares.items():
+            before = self._past.get(name, 0.0)
+            self._past[name] = before + uptake * (share - before)
+        if not self._wrong:
+            self._cause = ""
+        elif not self._cause:
+            self._cause = next(self._explanations(q, frames.views, len(shares)), "")
+
+    @property
+    def _wrong(self) -> list[str]:
+        """Cameras that see past the arm."""
+        return [name for name, share in self._past.items() if share > PAST]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader must know: a line where some camera sees past the arm."""
-        wrong = [name for name, share in self._past.items() if share > PAST]
-        if not wrong:
+        wrong = self._wrong
+        if self._arm is None or not wrong:
             return ()
-        if len(wrong) < len(self._past):
+        if len(wrong) < len(self._past) and not self._cause:
             return (
                 f"model: the arm is not where camera {', '.join(wrong)} should see it, and the others do: calibrate "
                 "that camera's pose anew",
             )
-        return (
-            "model: the arm is not where its joints and the rig say, for cameras see past it: the rig's poses are in "
-            "another frame than base_link (a UR's own base is turned by 180 degrees), the hand-eye pose is off, or "
-            "the joints are another arm's or late; see calibrate check and calibrate hand-eye",
+        cause = self._cause or (
+            f"it is no {self._arm.name}, its joints are late or in another order, the hand-eye pose is off, or the "
+            "rig's poses are in another frame than base_link; see calibrate check and calibrate hand-eye"
         )
+        return (f"model: the arm is not where its joints and the rig say, for cameras see past it: {cause}",)
 
-    @staticmethod
-    def _placed(arm: ArmModel, joints: JointSample) -> PlacedCapsules:
-        return place_capsules(arm, forward_kinematics(arm, arm.ordered_positions(joints)))
+    def _explanations(self, q: Float64, views: Sequence[View], cameras: int) -> Iterator[str]:
+        """Other arms and bases with which cameras would see the arm, as many as tell of it now."""
+        assert self._arm is not None
+
+        def fits(arm: ArmModel, seen: Sequence[View]) -> bool:
+            shares = _shares(arm, q, seen).values()
+            return len(shares) >= cameras and max(shares) < FITS
+
+        for name in UR_NAMES if self._arm.name in UR_NAMES else ():
+            if name != self._arm.name and fits(ur_model(name), views):
+                yield f"it looks like a {name} and not like a {self._arm.name}; set `model` of the arm"
+        for degrees in TURNS_DEG:
+            half = math.radians(degrees) / 2
+            turn = pose(rotation_from_quat(np.array([math.cos(half), 0, 0, math.sin(half)])), np.zeros(3))
+            turned = [
+                replace(view, camera=replace(view.camera, T_base_cam=turn @ view.camera.T_base_cam)) for view in views
+            ]
+            if fits(self._arm, turned):
+                yield (
+                    f"the rig's poses are in a frame that is turned by {degrees} degrees about z against base_link"
+                    f"{', as that of a UR controller is' if degrees == TURNS_DEG[0] else ''}; turn them by as much"
+                )
+
+
+def _shares(arm: ArmModel, q: Float64, views: Sequence[View]) -> dict[str, float]:
+    """`seen_past` of each camera that tells."""
+    placed = place_capsules(arm, forward_kinematics(arm, q))
+    found = {view.camera.name: seen_past(placed, view) for view in views}
+    return {name: share for name, share in found.items() if share is not None}
 
 
 def seen_past(placed: PlacedCapsules, view: View) -> float | None:
