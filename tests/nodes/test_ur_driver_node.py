@@ -100,6 +100,7 @@ def test_decisions_of_the_graph_become_slider_and_the_arm_becomes_topics(stand_i
 
 
 def test_servo_mode_follows_what_the_graph_asks_for(stand_in: StandInProcess) -> None:
+    stand_in.dashboard("stop")  # a program of the robot's own is not ended for it
     graph = Graph(stand_in.host, DriverMode.SERVO)
     graph.until(lambda: graph.node.report is not None and graph.node.report.speed_fraction == 1.0)
     start = np.array(stand_in.status().q)

@@ -55,6 +55,7 @@ class FakeLink:
     is_lost: bool = False
     is_obedient: bool = True
     runs_script: bool = True
+    script_starts: bool = True
     is_remote: bool = True
     lookahead_s: float = 0.004
 
@@ -83,6 +84,8 @@ class FakeLink:
         return self.runs_script
 
     def prepare_servo(self) -> None:
+        if not self.script_starts:
+            raise ArmError("control script: it does not start")
         self.preparations += 1
         self.runs_script = True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,7 +19,17 @@ def link_of(mode: DriverMode = DriverMode.SLIDER, **interfaces: object) -> RtdeL
     link = RtdeLink.__new__(RtdeLink)
     link._parameters = UrParameters(robot="10.0.0.2", mode=mode, heartbeat_register=20)
     link._receive, link._io, link._control = (interfaces.get(name) for name in ("receive", "io", "control"))
+    link._has_script, link._on_wait = link._control is not None, lambda: None
     return link
+
+
+def receiving(runtime_state: object = 2) -> SimpleNamespace:
+    """What tells of an arm in a runtime state, or in whatever one a function gives."""
+    told = {name: [0.0] * 6 for name in ("ActualQ", "ActualQd", "TargetQ", "TargetQd")}
+    told |= dict.fromkeys(("Timestamp", "TargetSpeedFraction", "SpeedScaling"), 1.0) | {"RobotMode": 7, "SafetyMode": 1}
+    state = runtime_state if callable(runtime_state) else lambda: runtime_state
+    getters = {f"get{name}": (lambda value=value: value) for name, value in told.items()}
+    return SimpleNamespace(isConnected=lambda: True, getRuntimeState=state, **getters)
 
 
 def test_every_field_of_a_state_is_what_the_controller_calls_so() -> None:
@@ -89,43 +100,113 @@ def test_angles_go_with_the_look_ahead() -> None:
 
 
 class Script:
-    """A control script that runs, or does once it is sent again; or never does."""
+    """A control interface whose script runs, and whose watchdog can be set; or not."""
 
-    def __init__(self, runs: bool, starts: bool = True, watches: bool = True) -> None:
-        self.runs, self._starts, self._watches = runs, starts, watches
+    def __init__(self, runs: bool = True, watches: bool = True) -> None:
+        self.runs, self._watches = runs, watches
         self.watched_hz: float | None = None
+        self.is_disconnected = False
+
+    def isConnected(self) -> bool:
+        return True
 
     def isProgramRunning(self) -> bool:
         return self.runs
-
-    def reuploadScript(self) -> None:
-        self.runs = self._starts
 
     def setWatchdog(self, hz: float) -> bool:
         self.watched_hz = hz
         return self._watches
 
+    def disconnect(self) -> None:
+        self.is_disconnected = True
 
-@pytest.mark.parametrize("runs", [False, True])
-def test_a_control_script_is_watched_before_the_arm_is_sent_anywhere(runs: bool) -> None:
-    script = Script(runs)
-    link_of(DriverMode.SERVO, control=script).prepare_servo()
-    assert (script.runs, script.watched_hz) == (True, UrParameters().watchdog_hz)
+
+Begins = Callable[[Script | RuntimeError], list[str]]
+
+
+@pytest.fixture
+def begins(monkeypatch: pytest.MonkeyPatch) -> Begins:
+    """Pretends what a new control interface is; gives back the robots for which one is made."""
+
+    def pretend(script: Script | RuntimeError) -> list[str]:
+        made: list[str] = []
+
+        def make(robot: str, _: float) -> Script:
+            made.append(robot)
+            if isinstance(script, RuntimeError):
+                raise script
+            return script
+
+        monkeypatch.setattr("twin_node.arm.ur.link._module", lambda _: SimpleNamespace(RTDEControlInterface=make))
+        monkeypatch.setattr("twin_node.arm.ur.link._SCRIPT_START_S", 0.0)
+        return made
+
+    return pretend
+
+
+def test_a_control_script_that_runs_is_watched_before_the_arm_is_sent_anywhere() -> None:
+    script = Script()
+    link_of(DriverMode.SERVO, receive=receiving(), control=script).prepare_servo()
+    assert script.watched_hz == UrParameters().watchdog_hz
+
+
+@pytest.mark.parametrize("before", [None, Script(runs=False)])
+def test_a_control_script_begins_by_a_new_interface(begins: Begins, before: Script | None) -> None:
+    """One that is there already has its last goal still set: the arm may have been led elsewhere."""
+    script, waits = Script(), []
+    made = begins(script)
+    states = iter([1, 2, 2])  # stopped, then begun
+    link = link_of(DriverMode.SERVO, receive=receiving(lambda: next(states)), control=before)
+    link._on_wait = lambda: waits.append(list(made))
+    link.prepare_servo()
+    assert (made, script.watched_hz) == (["10.0.0.2"], UrParameters().watchdog_hz)
+    assert waits == [[]], "whoever waits is told first"
+    assert before is None or before.is_disconnected
+
+
+@pytest.mark.parametrize("state", [2, 4])
+def test_another_program_is_neither_ended_nor_servoed(begins: Begins, state: int) -> None:
+    """`ur_rtde` would end whatever runs or is paused: somebody may be at work with it."""
+    made = begins(Script())
+    link = link_of(DriverMode.SERVO, receive=receiving(state))
+    with pytest.raises(ArmError, match="found one that runs or is paused; stop it on the pendant, then acknowledge"):
+        link.prepare_servo()
+    assert not link.servo(START)
+    assert made == []
+
+
+def test_a_script_in_whose_place_another_program_runs_is_not_sent_anything(begins: Begins) -> None:
+    begins(Script())
+    states = iter([1, 2, 2])  # the script was stopped; somebody plays another program
+    link = link_of(DriverMode.SERVO, receive=receiving(lambda: next(states)), control=Script())
+    link.read()
+    link.read()
+    assert not link.servo(START)
+    with pytest.raises(ArmError, match="found one that runs"):
+        link.prepare_servo()
+
+
+def test_a_script_that_nobody_would_stop_is_refused() -> None:
+    with pytest.raises(ArmError, match="control script: its watchdog cannot be set"):
+        link_of(DriverMode.SERVO, receive=receiving(), control=Script(watches=False)).prepare_servo()
 
 
 @pytest.mark.parametrize(
-    ("script", "words"),
-    [
-        (Script(False, starts=False), "control script: it does not start; look at the pendant"),
-        (Script(True, watches=False), "control script: its watchdog cannot be set"),
-    ],
+    "script", [Script(), RuntimeError("ur_rtde: Failed to start control script, before timeout of 5 seconds")]
 )
-def test_a_script_that_nobody_would_stop_is_refused(
-    script: Script, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("twin_node.arm.ur.link._SCRIPT_START_S", 0.0)
-    with pytest.raises(ArmError, match=words):
-        link_of(DriverMode.SERVO, control=script).prepare_servo()
+def test_a_script_that_does_not_start_is_told_with_what_to_do(begins: Begins, script: Script | RuntimeError) -> None:
+    begins(script)
+    with pytest.raises(ArmError, match="control script: it does not start; look at the pendant"):
+        link_of(DriverMode.SERVO, receive=receiving(1)).prepare_servo()
+
+
+def test_the_lost_connection_of_a_control_script_is_told() -> None:
+    lost = SimpleNamespace(isConnected=lambda: False, servoJ=gone)
+    link = link_of(DriverMode.SERVO, receive=receiving(), control=lost)
+    with pytest.raises(ArmError, match=r"10\.0\.0\.2: writing failed \(Broken pipe\)"):
+        link.servo(START)
+    with pytest.raises(ArmError, match=r"10\.0\.0\.2: connection of the control script lost"):
+        link.read()
 
 
 def test_a_link_that_is_half_gone_is_closed_all_the_same() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driver_bench import CLEAR, MS, STEP_MS, Bench, servo_bench, steps_of
-from fake_link import MODEL, START, quintic
+from fake_link import MODEL, START, FakeLink, quintic
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import (
@@ -17,6 +17,8 @@ from twin_node.arm.ur import (
     Follow,
     Halt,
     LeavePath,
+    UrDriver,
+    UrParameters,
 )
 from twin_node.robot import ur_model
 from twin_node.scene import JointPath
@@ -84,6 +86,20 @@ def test_the_control_script_is_begun_where_nothing_is_wrong_and_after_each_halt(
     bench.acknowledge()
     assert bench.run(200).state is DriverState.READY
     assert bench.link.preparations == 1
+
+
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [({"safety_mode": 7}, "safety mode ROBOT_EMERGENCY_STOP: clear it"), ({}, "control script: it does not start")],
+)
+def test_an_arm_that_cannot_be_servoed_yet_is_halted_and_told_of(state: dict[str, object], reason: str) -> None:
+    link = FakeLink(script_starts=False)
+    link.tell(**state)
+    driver = UrDriver(UrParameters(mode=DriverMode.SERVO), link, 1000 * MS)
+    report = driver.step(1004 * MS)
+    assert (report.state, report.reason.startswith(reason)) == (DriverState.HALTED, True)
+    assert report.sample is not None and not report.is_over
+    assert link.servoed == []
 
 
 def test_an_arm_that_does_not_follow_is_halted() -> None:

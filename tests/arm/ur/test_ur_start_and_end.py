@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shifts import Shift, parameters, wait_for
+from shifts import Shift, parameters, wait_for, with_dashboard
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters, link
 from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.process import DriverProcess
-from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
+from twin_node.cell.ur_sim import ControllerParameters, StandInParameters, StandInProcess, Watchdog, free_loopback
 from twin_node.robot import RobotError, ur_model
 from twin_node.scene import JointPath
 
@@ -230,6 +230,29 @@ def test_servo_mode_follows_slows_and_refuses(other: StandInProcess) -> None:
     shift.is_fed = True
     shift.until(lambda: shift.driver.acknowledge() and shift.driver.latest.speed_fraction == 1.0)
     shift.close()
+
+
+def test_another_program_is_left_alone_and_the_arm_where_it_has_led_it() -> None:
+    """The goal that servoJ was last sent is still set then: the arm must not be servoed back to it."""
+    unwatched = ControllerParameters(watchdog=Watchdog(min_frequency_hz=0.0))
+    with StandInProcess(StandInParameters(host=free_loopback(), controller=unwatched)) as cell:
+        shift = Shift(cell, mode=DriverMode.SERVO, watchdog_hz=4.0)
+        shift.until(lambda: shift.driver.latest.speed_fraction == 1.0)
+        shift.is_fed = False
+        shift.until_state(DriverState.HALTED, "no forecast")
+        shift.until(lambda: cell.status().program is None)
+        start = np.array(cell.status().q)
+        shift.play()
+        shift.until(lambda: float(np.abs(np.array(cell.status().q) - start).max()) > 0.2)
+        shift.is_fed = True
+        shift.until(lambda: shift.driver.acknowledge() and "found one that runs" in str(shift.reports[-1].refusal))
+        assert cell.status().program == "/programs/twin_cell.urp"
+        with_dashboard(cell.host, lambda dashboard: dashboard.stop())
+        shift.until(lambda: cell.status().runtime_state == "STOPPED")
+        led_to = cell.status().q
+        shift.until(lambda: shift.driver.acknowledge() and shift.driver.latest.speed_fraction == 1.0)
+        assert cell.status().q == pytest.approx(led_to, abs=1e-3)
+        shift.close()
 
 
 @pytest.mark.parametrize("robot", ["192.168.1..10", "a" * 64, ".", "ur 5", ""])

@@ -77,7 +77,7 @@ def says(state: DriverState, **more: Any) -> DriverReport:
     return DriverReport(0, state, state.value, **more)
 
 
-READY, LOST = says(DriverState.READY), says(DriverState.LOST)
+READY, LOST, CONNECTING = says(DriverState.READY), says(DriverState.LOST), says(DriverState.CONNECTING)
 
 
 @pytest.fixture
@@ -128,7 +128,13 @@ def test_an_acknowledged_halt_is_left_to_nobody(play: Play) -> None:
     assert DriverState.LOST in {report.state for report in heard}
 
 
-@pytest.mark.parametrize(("first", "patience_s"), [(READY, 0.5), (LOST, 15.0)])
+def test_a_halt_outlives_a_driver_that_dies_while_it_goes_on(play: Play) -> None:
+    halt = Halt("safety mode PROTECTIVE_STOP", is_safety=True)
+    theatre, _ = play([READY, says(DriverState.HALTED, halt=halt), CONNECTING, DEATH], [READY])
+    assert theatre.played[1].begun_with == halt
+
+
+@pytest.mark.parametrize(("first", "patience_s"), [(READY, 0.5), (LOST, 15.0), (CONNECTING, 15.0)])
 def test_a_driver_that_says_nothing_for_long_is_ended_at_once(
     play: Play, first: DriverReport, patience_s: float
 ) -> None:

@@ -40,7 +40,7 @@ class UrDriver:
     """
 
     def __init__(self, parameters: UrParameters, link: UrLink, now: int, halt: Halt | None = None) -> None:
-        """`halt` is what an earlier connection left behind. Raises `ArmError` where servoing cannot begin."""
+        """`halt` is what an earlier connection left behind."""
         self._parameters = parameters
         self._mode = parameters.mode
         self._model = parameters.arm()
@@ -64,7 +64,18 @@ class UrDriver:
         self._held_up: int | None = None
         """When the driver was last at work again after it had been held up."""
         if self._mode is DriverMode.SERVO and halt is None:
-            link.prepare_servo()
+            self._begin_servo(now)
+
+    def _begin_servo(self, now: int) -> None:
+        """Where that cannot be, the arm is halted from the start, and its joints are told of all the same."""
+        try:
+            problem = self._look(now)
+            if problem is None:
+                self._link.prepare_servo()
+        except ArmError as error:
+            problem = str(error)
+        if problem is not None:
+            self._stop_for(problem)
 
     def order(self, order: Order, now: int) -> None:
         """Take an order. Raises `ArmError` or `RobotError`, with the reason, for one that is refused.

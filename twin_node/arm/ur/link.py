@@ -7,6 +7,7 @@ import importlib
 import re
 import socket
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -43,8 +44,9 @@ _REACH_TIMEOUT_S = 2.0
 _GAIN = 300.0
 """servoJ's own default (URScript)."""
 
+_NO_START = "control script: it does not start; look at the pendant, and switch to remote control"
 _SCRIPT_START_S = 0.3
-"""A script that was sent runs within a few packages; the arm stands meanwhile."""
+"""The state tells of a script that has begun within a few packages; the arm stands meanwhile."""
 
 
 class UrLink(Protocol):
@@ -76,13 +78,23 @@ class UrLink(Protocol):
 
 
 class RtdeLink:
-    """Receive, IO and control interface of `ur_rtde`, as far as the mode needs them."""
+    """Receive, IO and control interface of `ur_rtde`, as far as the mode needs them.
 
-    def __init__(self, parameters: UrParameters) -> None:
-        """Connects; takes a tenth of a second. Raises `ArmError` where the controller cannot be reached or refuses."""
+    The control interface ends whatever program it finds on the robot, so it is made no sooner than the arm is to be
+    servoed, and not where another program is there.
+    """
+
+    def __init__(self, parameters: UrParameters, on_wait: Callable[[], None] = lambda: None) -> None:
+        """Connects; takes a tenth of a second. Raises `ArmError` where the controller cannot be reached or refuses.
+
+        `on_wait()` is called before something that may take seconds.
+        """
         self._parameters = parameters
+        self._on_wait = on_wait
         self._io: Any = None
         self._control: Any = None
+        self._has_script = False
+        """Whether the program on the robot is the control script that was begun here."""
         _check_reachable(parameters.robot)
         _check_model(parameters.robot, parameters.model)
         try:
@@ -91,8 +103,6 @@ class RtdeLink:
             )
             if parameters.mode is DriverMode.SLIDER:
                 self._io = _module("rtde_io").RTDEIOInterface(parameters.robot)
-            elif parameters.mode is DriverMode.SERVO:
-                self._control = _module("rtde_control").RTDEControlInterface(parameters.robot, parameters.receive_hz)
         except RuntimeError as error:
             raise ArmError(_refused(parameters.robot, error)) from error
 
@@ -101,7 +111,9 @@ class RtdeLink:
         receive = self._receive
         if not receive.isConnected():
             raise ArmError(f"{self._parameters.robot}: connection lost")
-        return UrSample(
+        if self._control is not None and not self._control.isConnected():
+            raise ArmError(f"{self._parameters.robot}: connection of the control script lost")
+        sample = UrSample(
             clock_s=receive.getTimestamp(),
             q=_vector(receive.getActualQ()),
             qd=_vector(receive.getActualQd()),
@@ -113,6 +125,8 @@ class RtdeLink:
             speed_slider=receive.getTargetSpeedFraction(),
             speed_scaling=receive.getSpeedScaling(),
         )
+        self._has_script = self._has_script and not sample.has_ended
+        return sample
 
     def set_speed(self, fraction: float) -> None:
         """Move the speed slider, 0 to 1; `ur_rtde` itself would send any number."""
@@ -128,21 +142,47 @@ class RtdeLink:
         """Send the next joint angles [6], rad; `ur_rtde` itself would send five. False where they were refused."""
         if q.shape != (6,) or not np.isfinite(q).all():
             raise ArmError(f"servo command: expected six finite angles, found {q.tolist()}")
+        if not self._has_script:
+            return False  # `ur_rtde` would wait for seconds for another program to take it
         period_s, lookahead_s = self._parameters.period_s, self._parameters.lookahead_s
-        return bool(self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, lookahead_s, _GAIN))
+        return bool(self._asked(lambda: self._control.servoJ(q.tolist(), 0.0, 0.0, period_s, lookahead_s, _GAIN)))
 
     def prepare_servo(self) -> None:
-        """Have the control script running with its watchdog set; raises `ArmError` where it does not start."""
-        control = self._control
-        if not control.isProgramRunning():
-            control.reuploadScript()
-            until = time.monotonic() + _SCRIPT_START_S
-            while not control.isProgramRunning() and time.monotonic() < until:
-                time.sleep(1 / self._parameters.receive_hz)
-        if not control.isProgramRunning():
-            raise ArmError("control script: it does not start; look at the pendant, and switch to remote control")
-        if not control.setWatchdog(self._parameters.watchdog_hz):
+        """Have the control script running with its watchdog set; raises `ArmError` where it does not start.
+
+        So it does while a program that is not the driver's runs or is paused: somebody may be at work with it.
+        """
+        if not self.read().has_ended and not self._has_script:
+            raise ArmError(
+                "control script: expected a robot without a program, found one that runs or is paused; stop it on the "
+                "pendant, then acknowledge"
+            )
+        if not self._has_script or not self._asked(self._control.isProgramRunning):
+            self._begin_script()
+        if not self._asked(lambda: self._control.setWatchdog(self._parameters.watchdog_hz)):
             raise ArmError("control script: its watchdog cannot be set")
+
+    def _begin_script(self) -> None:
+        """Have the control script begin, by a new interface; until it has, nothing else can be done.
+
+        One that is there already would begin it with its last command still set: an arm that was led elsewhere
+        meanwhile would be servoed back at once.
+        """
+        self._on_wait()
+        before, self._control = self._control, None
+        try:
+            if before is not None:
+                before.disconnect()
+            make = _module("rtde_control").RTDEControlInterface
+            self._control = make(self._parameters.robot, self._parameters.receive_hz)
+        except RuntimeError as error:
+            raise ArmError(_refused(self._parameters.robot, error)) from error
+        until = time.monotonic() + _SCRIPT_START_S
+        while self.read().has_ended:
+            if time.monotonic() >= until:
+                raise ArmError(_NO_START)
+            time.sleep(1 / self._parameters.receive_hz)
+        self._has_script = True
 
     def play(self) -> None:
         """Let the robot's paused program go on; raises `ArmError` where the dashboard refuses.
@@ -165,13 +205,16 @@ class RtdeLink:
                 except RuntimeError:
                     continue  # the other side has gone: nothing is left to be closed
 
-    def _written(self, write: Any) -> None:
+    def _written(self, write: Callable[[], Any]) -> None:
+        if not self._asked(write):
+            raise ArmError(f"{self._parameters.robot}: writing failed")
+
+    def _asked(self, ask: Callable[[], Any]) -> Any:
+        """What `ur_rtde` answers; raises `ArmError` where it finds its connection lost."""
         try:
-            is_sent = write()
+            return ask()
         except RuntimeError as error:
             raise ArmError(f"{self._parameters.robot}: writing failed ({error})") from error
-        if not is_sent:
-            raise ArmError(f"{self._parameters.robot}: writing failed")
 
 
 def _vector(values: list[float]) -> Float64:
@@ -228,10 +271,13 @@ def ask_dashboard(robot: str, order: str, longest_s: float = _DASHBOARD_S) -> st
 
 def _refused(robot: str, error: RuntimeError) -> str:
     reason = " ".join(str(error).split())
+    if "start control script" in reason:
+        return _NO_START
     if "in use" in reason:
         return (
             f"{robot}: an input register that ur_rtde writes is in use; end the other RTDE client, and switch off "
-            "EtherNet/IP, PROFINET and MODBUS on the controller"
+            "EtherNet/IP, PROFINET and MODBUS on the controller (of a connection that was cut it is free once the "
+            "controller has given that up)"
         )
     return f"{robot}: the controller refused the connection: {reason}"
 

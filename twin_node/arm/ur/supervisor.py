@@ -19,7 +19,8 @@ _LOOK_S = 0.05
 _HUNG_S = 0.5
 """A process that reported and then says nothing for so long hangs: a hundred of its periods."""
 _CONNECTING_S = 15.0
-"""Longest that connecting may take: `ur_rtde` waits up to 5 s for its script, and starts twice."""
+"""Longest that connecting may take: `ur_rtde` waits up to 5 s for its script, and starts twice. A driver that says that
+it is `CONNECTING` is in that again, its halt kept."""
 _RETRY_S = 0.5
 """Before the next process where the last could not connect."""
 
@@ -154,7 +155,7 @@ class SupervisedDriver:
                 return None
             if report is not None:
                 heard = time.monotonic()
-                patience_s = _CONNECTING_S if report.state is DriverState.LOST else _HUNG_S
+                patience_s = _HUNG_S if report.state in _CONNECTED else _CONNECTING_S
                 self._take(report)
                 if report.is_over:
                     return report.reason
@@ -163,10 +164,10 @@ class SupervisedDriver:
         return "closed"
 
     def _take(self, report: DriverReport) -> None:
-        if report.state is not DriverState.LOST:
+        if report.state in _CONNECTED:
             self._halt = report.halt
         self._publish(report)
-        if self._wants_spare and report.state is not DriverState.LOST:
+        if self._wants_spare and report.state in _CONNECTED:
             self._wants_spare = False
             with contextlib.suppress(OSError):  # it saves time and no more: the next process is started when needed
                 self._spare = DriverProcess(self._parameters)

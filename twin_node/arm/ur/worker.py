@@ -59,13 +59,18 @@ def _connect(parameters: UrParameters, pipe: Connection) -> RtdeLink:
     """A connection, tried for until it stands where that is wanted; raises `ArmError` where it is not."""
     while True:
         try:
-            return RtdeLink(parameters)
+            return RtdeLink(parameters, lambda: pipe.send(_waiting()))
         except ArmError as error:
             if not parameters.reconnects:
                 raise
             pipe.send(_lost(error, is_over=False))
         if pipe.poll(_RETRY_S):
             pipe.recv()  # an order that nobody can carry out; the end of the pipe raises
+
+
+def _waiting() -> DriverReport:
+    reason = "the control script begins"
+    return DriverReport(time.monotonic_ns(), DriverState.CONNECTING, reason, speed_fraction=None)
 
 
 def _lost(error: TwinError, is_over: bool) -> DriverReport:
