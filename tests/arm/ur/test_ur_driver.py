@@ -314,7 +314,6 @@ def test_a_parameter_file_that_changes_the_limiters_ramp_leaves_the_drivers_dead
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"runtime_state": 4}, "the robot's program is paused; press play"),
         ({"runtime_state": 1}, "no program runs on the robot; press play"),
         ({"speed_slider": 0.0}, "the speed slider stays at 0%"),
     ],

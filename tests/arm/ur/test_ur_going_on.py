@@ -201,6 +201,32 @@ def test_a_paused_program_that_the_driver_has_not_seen_run_begins_at_rest() -> N
     assert told.speed_fraction is not None and 0 < told.speed_fraction < 0.15
 
 
+def test_a_paused_program_goes_on_from_rest_however_long_it_was_let_go() -> None:
+    bench = Bench(limiter=LimiterParameters(deadline_s=0.07))
+    assert bench.run(1200).speed_fraction == 1.0
+    bench.link.tell(runtime_state=4)
+    report = bench.run(200)
+    assert (report.state, report.speed_fraction, bench.link.state.speed_slider) == (DriverState.READY, 0.0, 0.0)
+    assert report.reason == "stopped: the robot's program is paused; press play"
+    bench.link.tell(runtime_state=2)
+    going = bench.run(40)
+    assert going.speed_fraction is not None and 0 < going.speed_fraction < 0.1
+    assert bench.run(1200).reason == "clear"
+
+
+def test_a_connection_that_was_cut_without_a_word_is_given_up() -> None:
+    """What the driver writes does not arrive, what it reads does: the watchdog pauses the program, and no more."""
+    bench = Bench()
+    bench.run(320)
+    bench.link.is_obedient = False
+    bench.link.tell(runtime_state=4)
+    assert bench.ms_until(DriverState.HALTED) <= 250
+    assert not bench.report.is_over
+    report = bench.run(2100)
+    assert report.is_over
+    assert "set to 0% reads 100% for 2 s: what is written does not arrive" in report.reason
+
+
 def test_a_paused_program_whose_forecasts_stop_halts_for_that() -> None:
     bench = Bench(halt=Halt("connection lost"))
     bench.link.tell(runtime_state=4, target_qd=np.zeros(6))

@@ -119,12 +119,17 @@ class UrDriver:
         return self.is_braking
 
     def _from_rest(self, told: Separation) -> Separation:
-        """What the arm is told, unless nobody knows how its paused program goes on: it is to begin at rest then."""
+        """What the arm is told, unless its program is paused: it is to begin at rest then.
+
+        The slider's way to zero also shows whether it can still be moved: a connection that was cut without a word
+        pauses the program too.
+        """
         is_paused = self._sample is not None and self._sample.is_paused
-        if self._slider is None or not is_paused or self._foresight.is_known or told.speed_fraction == 0:
+        if self._slider is None or not is_paused or told.speed_fraction == 0:
             return told
         self._limiter.stand()
-        reason = "stopped: the robot's program is paused, and this driver has not seen how it goes on; press play"
+        unseen = "" if self._foresight.is_known else ", and this driver has not seen how it goes on"
+        reason = f"stopped: the robot's program is paused{unseen}; press play"
         return replace(told, speed_fraction=0.0, reason=reason)
 
     def _look(self, now: int) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.link import UrLink
 from twin_node.arm.ur.sample import UrSample
 
@@ -23,6 +24,8 @@ _CHANGES_KEPT = 64
 """Twice as many as a driver that looks every 4 ms makes until the first is not looked at any more."""
 _OBEY_TOLERANCE = 0.02
 """How far it may be above: the pendant rounds to per cent."""
+_DEAF_S = 2.0
+"""Above for so long without a break, it is set a hundred times in vain: nothing that is written arrives."""
 _HELD_S = 1.0
 """A slider that is lower than it was set to for so long is held there: it was set ten times meanwhile."""
 _UNWATCHED_S = 2.0
@@ -43,7 +46,7 @@ class Slider:
         self._beats = 0
         self._beaten: int | None = None
         self._is_above = False
-        self._above_s = 0.0
+        self._above_s = self._unbroken_s = 0.0
         self._looked = 0
         self._held_since: int | None = None
 
@@ -63,7 +66,10 @@ class Slider:
         self._link.beat(self._beats)
 
     def disobedience(self, sample: UrSample, now: int) -> str | None:
-        """Why the slider is not where it was set to, in words; None where it is, or lower."""
+        """Why the slider is not where it was set to, in words; None where it is, or lower.
+
+        Raises `ArmError` where it has not been for long: nothing else tells of a connection cut without a word.
+        """
         told, passed_s = self._fraction, min((now - self._looked) * 1e-9, _LONGEST_LOOK_S)
         self._looked = now
         if told is None:
@@ -73,9 +79,13 @@ class Slider:
         highest = max(told, max((fraction for _, fraction in self._before), default=0.0))
         self._is_above = sample.speed_slider > highest + _OBEY_TOLERANCE
         self._above_s = max(self._above_s + (passed_s if self._is_above else -_FORGIVEN * passed_s), 0.0)
+        self._unbroken_s = self._unbroken_s + passed_s if self._is_above else 0.0
         if not self._is_above or self._above_s <= _OBEY_S:
             return None
-        return f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}: somebody else moves it"
+        found = f"speed slider set to {told:.0%} reads {sample.speed_slider:.0%}"
+        if self._unbroken_s > _DEAF_S:
+            raise ArmError(f"{found} for {_DEAF_S:g} s: what is written does not arrive")
+        return f"{found}: somebody else moves it"
 
     def unwatchfulness(self, sample: UrSample | None, now: int) -> str:
         """That the robot's program goes on without a heartbeat, in words after a halt's; empty where it does not.
@@ -95,8 +105,7 @@ class Slider:
             self._held_since = None
             return ""
         if not sample.is_playing:
-            state = "the robot's program is paused" if sample.is_paused else "no program runs on the robot"
-            return f"; but {state}; press play"
+            return "; but no program runs on the robot; press play"
         if sample.speed_slider >= told - _OBEY_TOLERANCE:
             self._held_since = None
             return ""
