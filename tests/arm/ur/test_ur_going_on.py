@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from driver_bench import Bench
+from driver_bench import MS, Bench
 
 from twin_node.arm import LimiterParameters
 from twin_node.arm.ur import DriverState, Halt
@@ -81,6 +81,24 @@ def test_what_the_safety_system_stopped_never_resumes_by_itself(mode: int, name:
 def test_an_earlier_halt_resumes_unless_it_was_a_safety_stop(is_safety: bool, state: DriverState) -> None:
     bench = Bench(halt=Halt("earlier", is_safety), resumes=True)
     assert bench.run(1000).state is state
+
+
+@pytest.mark.parametrize("away_s", [4, 6])
+def test_what_was_done_to_an_arm_that_nobody_saw_for_long_is_not_taken_for_nothing(away_s: int) -> None:
+    """It may have hit somebody and been unlocked, and whoever paused its program may be beside it."""
+    lost = Halt("connection lost", interrupts=True, seen=1000 * MS - away_s * 1_000_000_000)
+    bench = Bench(halt=lost, resumes=True, plays=True)
+    bench.link.tell(runtime_state=4)
+    report = bench.run(1000)
+    if away_s < 5:
+        assert (report.state, bench.link.plays) == (DriverState.READY, 1)
+        return
+    assert (report.state, bench.link.plays) == (DriverState.HALTED, 0)
+    assert report.reason.startswith("connection lost; the arm was not seen for 6 s")
+    bench.acknowledge()
+    report = bench.run(100)
+    assert (report.state, bench.link.plays) == (DriverState.READY, 0)
+    assert "press play" in report.reason
 
 
 @pytest.mark.parametrize("plays", [True, False])

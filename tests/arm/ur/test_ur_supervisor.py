@@ -120,6 +120,14 @@ def test_a_driver_that_dies_halted_leaves_the_halt_that_it_had(play: Play) -> No
     assert theatre.played[1].begun_with == halt
 
 
+def test_a_halt_tells_when_the_arm_was_last_seen(play: Play) -> None:
+    """However many drivers are sent off meanwhile that do not see it."""
+    seen = says(DriverState.READY, sample=SimpleNamespace(is_playing=True), sample_stamp=7)
+    theatre, _ = play([seen, DEATH], [LOST, DEATH], [READY])
+    halts = [process.begun_with for process in theatre.played[1:]]
+    assert [halt.seen for halt in halts if halt is not None] == [7, 7]
+
+
 def test_an_acknowledged_halt_is_left_to_nobody(play: Play) -> None:
     halt = Halt("stopped: no forecast for 200 ms")
     over = says(DriverState.HALTED, halt=Halt("connection lost"), is_over=True)

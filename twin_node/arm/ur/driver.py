@@ -28,6 +28,8 @@ _LONGEST_LOOK = 3
 servoed arm does not make up for it either: it would be sent all of that way at once."""
 _HELD_UP_S = 0.08
 """A driver that was held up for so long has left the robot's watchdog, of 10 Hz, without a beat."""
+_UNSEEN_S = 5.0
+"""A protective stop cannot be unlocked sooner (user manual): within it none has come and gone while nobody looked."""
 _PAUSES_S = 0.1
 """Within this time of its next beat the controller tells of the pause."""
 
@@ -141,6 +143,7 @@ class UrDriver:
             self._sample_stamp = now
             if wrong is not None:
                 return wrong
+            self._see_again(now)
         if self._freshness.has_gone_back:
             raise ArmError("the controller's clock went back: it was restarted")
         age_s = self._freshness.age_s
@@ -149,6 +152,16 @@ class UrDriver:
         if self._sample is None:
             return None if self._halt is None else self._halt.reason
         return not_ready(self._sample) or self._disobedience(self._sample, now) or self._lapse(self._sample, now)
+
+    def _see_again(self, now: int) -> None:
+        """A halt of an earlier connection: of what was done to the arm meanwhile, nobody may have told."""
+        halt = self._halt
+        if halt is None or halt.seen is None:
+            return
+        self._halt = replace(halt, seen=None)
+        unseen_s = (now - halt.seen) * 1e-9
+        if unseen_s > _UNSEEN_S:
+            self._halt = Halt(f"{halt.reason}; the arm was not seen for {unseen_s:.0f} s", is_safety=True)
 
     def _lapse(self, sample: UrSample, now: int) -> str | None:
         """Whether the driver's own lateness has just paused the program that it is to press play for, in words."""

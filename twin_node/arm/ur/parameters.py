@@ -62,7 +62,8 @@ class UrParameters:
     reconnects: bool = True
     """Connect again by itself when a link was lost; the arm still waits for somebody to acknowledge."""
     resumes: bool = False
-    """Go on by itself when the cause of a halt is over; what the safety system stopped always waits."""
+    """Go on by itself when the cause of a halt is over; what the safety system stopped always waits, and so
+    does an arm that was not seen for long."""
     plays: bool = False
     """Slider mode: press play on the dashboard when a halt is over that has left the robot's program paused, if it ran
     until then; needs remote control. False: somebody presses it on the pendant."""

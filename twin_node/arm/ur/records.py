@@ -30,6 +30,8 @@ class Halt:
     """Whether the controller's safety system had stopped the arm: only somebody who has looked may go on."""
     interrupts: bool = False
     """Whether the robot's program ran until then: it is the halt that pauses it, and nobody who wanted it to stand."""
+    seen: int | None = None
+    """When the arm was last seen, CLOCK_MONOTONIC, ns, where a connection was lost since; None: it is seen."""
 
 
 @dataclass(frozen=True)

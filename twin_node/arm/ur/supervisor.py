@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from twin_node.arm.ur.link import load_ur_rtde
 from twin_node.arm.ur.parameters import UrParameters
@@ -54,6 +55,8 @@ class SupervisedDriver:
         self._is_wanted = threading.Event()
         self._is_wanted.set()
         self._halt: Halt | None = None
+        self._seen = 0
+        """When the arm was last seen, ns; 0: never."""
         self._thread = threading.Thread(target=self._watch, name="ur_driver supervisor", daemon=True)
         self._thread.start()
 
@@ -141,6 +144,8 @@ class SupervisedDriver:
         if self._latest.state is DriverState.READY:
             sample = self._latest.sample
             self._halt = Halt(reason or how, interrupts=sample is not None and sample.is_playing)
+        if self._halt is not None and self._halt.seen is None and self._seen:
+            self._halt = replace(self._halt, seen=self._seen)
         self._publish(DriverReport(time.monotonic_ns(), DriverState.LOST, reason or how, speed_fraction=None))
         return was_connected
 
@@ -166,6 +171,8 @@ class SupervisedDriver:
     def _take(self, report: DriverReport) -> None:
         if report.state in _CONNECTED:
             self._halt = report.halt
+        if report.sample is not None:
+            self._seen = report.sample_stamp
         self._publish(report)
         if self._wants_spare and report.state in _CONNECTED:
             self._wants_spare = False
