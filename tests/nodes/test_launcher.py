@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import signal
 from collections.abc import Callable
@@ -237,6 +238,45 @@ def test_a_process_that_never_gets_ready_is_started_again(
     launcher = begin(Slow, said.append, "arm: {nodes: [arm]}")
     assert launcher.run().restarts == restarts
     assert said == ["arm: failed: it hung, and was ended; starting it again"] * restarts + ["active: arm"]
+
+
+@pytest.mark.parametrize(("lives_s", "waits_s"), [(7.0, [0] * 5 + [1, 2, 4, 8, 16, 32, 60, 60]), (700.0, [0] * 13)])
+def test_a_process_that_fails_again_and_again_is_started_at_growing_intervals(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch, lives_s: float, waits_s: list[float]
+) -> None:
+    """Never so often at once that the launch would end; one that was well in between has failed once."""
+    began_s: list[float] = []
+    now = [0.0]
+
+    class Failing(Process):
+        def has_begun(self) -> None:
+            began_s.append(now[0])
+            if len(began_s) > len(waits_s):
+                launcher.interrupt()
+
+        @property
+        def status(self) -> int | None:
+            now[0] += 0.25
+            self.has_pulsed = True
+            self._on_news()
+            return None if now[0] < began_s[-1] + lives_s else 1
+
+        @status.setter
+        def status(self, _: int | None) -> None:
+            """It fails when it is time."""
+
+    monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    said: list[str] = []
+    launcher = begin(Failing, said.append, "arm: {nodes: [arm]}")
+    result = launcher.run()
+    assert (result.status, result.restarts) == (0, len(waits_s))
+    gaps = [after - before - lives_s for before, after in itertools.pairwise(began_s)]
+    assert gaps == pytest.approx(waits_s, abs=2.0)
+    told = [line for line in said if "it has failed" in line]
+    assert len(told) == sum(wait > 0 for wait in waits_s)
+    assert not told or told[1].endswith(
+        "it has failed 7 times, each within 10 minutes of its start; starting it again in 2 s"
+    )
 
 
 def test_a_router_that_ends_with_another_command_is_replaced(

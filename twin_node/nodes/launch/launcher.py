@@ -26,6 +26,10 @@ RESTARTS_ALLOWED = 5
 """A process that fails so often within `RESTART_WINDOW_S` is given up, and the launch with it; a spare alone."""
 RESTART_WINDOW_S = 30.0
 """Long enough that a fault at start-up, some seconds each time, is told from one a day."""
+WELL_S = 600.0
+"""A process that has run for so long was well, s: what it fails of then is a new fault."""
+LONGEST_WAIT_S = 60.0
+"""Longest before a process that has failed again and again is started once more, s."""
 HANGS_S = 20.0
 """A process that has not told for so long that it goes on hangs, s; it does once a second, on a busy machine later."""
 LOADS_S = 900.0
@@ -64,6 +68,12 @@ class Launcher:
         self._spareless: set[str] = set()
         self._failures: dict[str, list[float]] = {}
         self._spare_failures: dict[str, list[float]] = {}
+        self._begun: dict[str, float] = {}
+        """When each process was last begun."""
+        self._short_lives: dict[str, int] = {}
+        """How often each has failed in a row, never having been well."""
+        self._due: dict[str, float] = {}
+        """When those that have failed are to be started again, as long as that waits."""
         self._restarts = 0
         self._looked = time.monotonic()
         self._kept = ""
@@ -128,8 +138,7 @@ class Launcher:
                 self._names = self._claimed_names()
                 self._tell_of_foreign_router()
             for process in self._processes():
-                self._children[process.name] = self._spawned(process)
-                self._children[process.name].configure()
+                self._begin(process, self._spawned(process))
             return self._watch()
         finally:
             self._stop_all()
@@ -176,7 +185,7 @@ class Launcher:
             self._end_what_hangs()
             for process in self._processes():
                 child = self._children[process.name]
-                if child.status is None:
+                if child.status is None or self._waits(process):
                     continue
                 child.hear_out()
                 if child.status == REFUSED and (self._plan.is_lockstep or process.name not in self._failures):
@@ -280,23 +289,49 @@ class Launcher:
     def _restarted(self, process: ProcessPlan, child: Child) -> bool:
         """Starts a failed process again, unless it must not be, or has failed too often.
 
-        One that there is no room for just now has failed once more, and is tried again at the next look.
+        One that goes on failing, though never so often at once, is started at growing intervals: it costs those beside
+        it ever less, and its log can be read.
         """
-        failures = _counted(self._failures, process.name)
+        failures, now = _counted(self._failures, process.name), time.monotonic()
         if not process.restarts or failures > RESTARTS_ALLOWED:
             return False
         self._restarts += 1
-        self._say(f"{process.name}: {_reason(child)}; starting it again")
+        was_well = now - self._begun[process.name] > WELL_S
+        in_a_row = self._short_lives[process.name] = 1 if was_well else self._short_lives.get(process.name, 0) + 1
+        if in_a_row <= RESTARTS_ALLOWED:
+            self._say(f"{process.name}: {_reason(child)}; starting it again")
+            self._start_again(process)
+        else:
+            wait_s = min(2.0 ** (in_a_row - RESTARTS_ALLOWED - 1), LONGEST_WAIT_S)
+            often = f"it has failed {in_a_row} times, each within {WELL_S / 60:g} minutes of its start"
+            self._say(f"{process.name}: {_reason(child)}; {often}; starting it again in {wait_s:g} s")
+            self._due[process.name] = now + wait_s
+        return True
+
+    def _waits(self, process: ProcessPlan) -> bool:
+        """Whether a process that has failed is to be started again later on; when it is time, that is done."""
+        if process.name not in self._due:
+            return False
+        if time.monotonic() >= self._due[process.name]:
+            del self._due[process.name]
+            self._start_again(process)
+        return True
+
+    def _start_again(self, process: ProcessPlan) -> None:
+        """One that there is no room for just now has failed once more, and is tried again at the next look."""
         spare = self._spares.pop(process.name, None)
         if spare is None or spare.status is not None:
             try:
                 spare = self._spawned(process)
             except OSError as error:
                 self._say(f"{process.name}: cannot be started ({error.strerror})")
-                return True
-        self._children[process.name], self._silences[process.name] = spare, 0.0
-        spare.configure()
-        return True
+                return
+        self._begin(process, spare)
+
+    def _begin(self, process: ProcessPlan, child: Child) -> None:
+        self._children[process.name], self._silences[process.name] = child, 0.0
+        self._begun[process.name] = time.monotonic()
+        child.configure()
 
     def _stop_all(self) -> None:
         """Sources first, as they stand in the file, so that what they sent is still dealt with."""
