@@ -56,6 +56,18 @@ def test_the_arm_that_is_driven_is_found_in_the_section_of_all_nodes_too() -> No
     assert made({"model": "ur10e"}, {}, robot="192.168.1.10", model="ur10e") is not None
 
 
+def test_the_joints_of_the_arm_that_is_judged_are_called_as_its_driver_calls_them() -> None:
+    """Of joints under other names nothing would ever be heard, and the arm stood for ever."""
+    left: Any = [f"left_{name}" for name in MODEL.joint_names]
+    arm, driver = {"model": "ur5e"}, {"robot": "192.168.1.10"}
+    with pytest.raises(TwinError, match=r"expected the joints that are driven, shoulder_pan_joint, .*, found left_sho"):
+        made({**arm, "joints": left}, driver)
+    with pytest.raises(TwinError, match=r"found shoulder_pan_joint, .* the same 'joints'"):
+        made(arm, {**driver, "joints": left})
+    assert made({**arm, "joints": left}, {**driver, "joints": left}) is not None
+    assert made(arm, driver, joints=left) is not None
+
+
 def test_an_arm_that_is_driven_is_never_judged_as_a_made_up_one() -> None:
     """Its joints may be published under another name: it was let go at full speed for what no arm does."""
     here: list[Endpoint] = []

@@ -53,6 +53,12 @@ def add_ur_driver(commands: Any) -> None:
     )
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
     parser.add_argument(
+        "--joints",
+        nargs="+",
+        metavar="NAME",
+        help="how its joints are called, from base to tool, where others have a prefix",
+    )
+    parser.add_argument(
         "--register", type=whole, default=20, metavar="N", help="input register of the heartbeat, 18 to 22 (default 20)"
     )
     parser.add_argument("--no-reconnect", action="store_true", help="end when the connection is lost")
@@ -79,6 +85,7 @@ def _run(options: argparse.Namespace) -> None:
         robot=options.robot,
         model=options.model,
         kinematics=options.kinematics,
+        joints=tuple(options.joints or ()),
         mode=DriverMode(options.mode),
         heartbeat_register=options.register,
         reconnects=not options.no_reconnect,

@@ -20,7 +20,7 @@ from twin_node.arm.ur import (
     UrDriver,
     UrParameters,
 )
-from twin_node.robot import ur_model
+from twin_node.robot import RobotError, ur_model
 from twin_node.scene import JointPath
 
 
@@ -129,6 +129,18 @@ def test_an_arm_that_is_as_far_behind_as_its_look_ahead_has_it_is_not_halted(mod
         behind.append(bench.link.servoed[-1][5] - bench.link.state.q[5])
     assert max(behind) > 0.5
     np.testing.assert_allclose(bench.link.state.q, turning[-1], atol=0.05)
+
+
+def test_joints_are_called_as_others_know_them() -> None:
+    names = tuple(f"left_{name}" for name in MODEL.joint_names)
+    bench = Bench(mode=DriverMode.SERVO, joints=names)
+    bench.run(200)
+    with pytest.raises(RobotError, match="expected left_shoulder_pan_joint, "):
+        bench.driver.order(Follow(quintic()), bench.now)
+    bench.driver.order(Follow(replace(quintic(), names=names)), bench.now)
+    future = bench.run(400).future
+    assert future is not None and future.names == names
+    assert bench.link.servoed[-1][0] > START[0]
 
 
 def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:

@@ -39,6 +39,9 @@ class UrParameters:
     """One of `twin_node.robot.UR_NAMES`; for an arm of the CB3 series its MJCF or URDF file."""
     kinematics: str | None = None
     """The arm's own calibration file from `ur_calibration`; None: the published DH parameters."""
+    joints: tuple[str, ...] = ()
+    """Names of its joints from base to tool, as `/joint_states` and trajectories are to have them: with a prefix
+    (`left_`) where other nodes know them so, or those of a file that has others too; none: its own."""
     mode: DriverMode = DriverMode.SLIDER
     limiter: LimiterParameters = field(default_factory=_deadlines)
     """How the speed follows the decisions, and what it does without them."""
@@ -99,8 +102,8 @@ class UrParameters:
             )
 
     def arm(self) -> ArmModel:
-        """The arm's model, calibrated where there is a file; raises `RobotError` for a wrong name or file."""
-        return arm_model(self.model, self.kinematics)
+        """The arm's model, calibrated where there is a file; raises `RobotError` for a wrong name, joint or file."""
+        return arm_model(self.model, self.kinematics, self.joints or None)
 
 
 def _is_name(host: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 from twin_node.arm.ur import DriverMode, UrParameters
@@ -62,6 +62,7 @@ def make_arm(setup: Setup) -> Node:
     driver = _launched_driver(setup)
     if driver is not None:
         _check_driven(setup.where, driver.model, parameters.arm.model)
+        _check_called(setup.where, driver.arm().joint_names, parameters.arm.arm().joint_names)
     workspace, arm = working_volume(source, parameters.synchronizer.width), parameters.arm
     if driver is None or driver.mode is not DriverMode.SERVO:
         return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, lambda: _driving(setup.endpoints()))
@@ -93,4 +94,13 @@ def _check_driven(where: str, driven: str, model: str) -> None:
         raise GraphError(
             f"{where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
             "'ur_driver' the same 'model'"
+        )
+
+
+def _check_called(where: str, told: Sequence[str], known: Sequence[str]) -> None:
+    """Of joints under other names the arm's node knows nothing: its arm would stand for ever."""
+    if set(told) != set(known):
+        raise GraphError(
+            f"{where}: arm.joints: expected the joints that are driven, {', '.join(told)}, found {', '.join(known)}; "
+            "give 'arm' and 'ur_driver' the same 'joints'"
         )
