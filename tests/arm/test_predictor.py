@@ -113,6 +113,30 @@ def test_joints_that_are_told_within_half_a_turn_neither_jump_nor_leave_their_pa
     np.testing.assert_allclose(ahead - after[5], np.linspace(0, 0.2, 21), atol=1e-6)
 
 
+@pytest.mark.parametrize("gap_ms", [0, 4])
+def test_two_arms_under_the_same_names_are_neither(gap_ms: int) -> None:
+    """It was judged by turns where it was and where the other one was."""
+    found = predictor(planned(velocity=0 * TURNING), joints(READY, 0 * TURNING, 0))
+    for when_ms in range(8, 40, 8):
+        found.take_joints(joints(READY + 0.3 * TURNING, 0 * TURNING, when_ms - gap_ms))
+        found.take_joints(joints(READY, 0 * TURNING, when_ms))
+    with pytest.raises(ArmError, match=r"the arm's joints jump by 0\.30 rad: two arms' have the same names"):
+        pose_at(found, 40)
+    for when_ms in range(40, 520, 8):
+        found.take_joints(joints(READY, 0 * TURNING, when_ms))
+    np.testing.assert_allclose(pose_at(found, 520), READY)
+
+
+def test_an_arm_at_its_fastest_does_not_jump() -> None:
+    """Nor one of which a message in four comes, or that is stamped late."""
+    found = predictor(planned(velocity=0 * TURNING))
+    for step in range(1, 60):
+        if step % 4 == 0:
+            late_ms = 8 * (step % 3 - 1)
+            found.take_joints(joints(READY + 3.2 * TURNING * step * 8e-3, 3.2 * TURNING, step * 8 + late_ms))
+    assert found.torn_rad(NOW + 480 * MS) is None
+
+
 def test_a_path_may_name_its_joints_in_any_order() -> None:
     path = planned()
     turned = JointPath(path.names[::-1], path.stamps, path.positions[:, ::-1])

@@ -78,6 +78,22 @@ def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
     assert cell.node.diagnoses()[0].message == "known"
 
 
+def test_an_arm_whose_joints_are_two_arms_stands_and_says_so() -> None:
+    cell = Cell()
+    for _ in range(3):
+        cell.wait(8)
+        cell.joints(READY, 0 * TURNING)
+        cell.joints(READY + TURNING, 0 * TURNING)
+    told = cell.somebody(at=np.full(3, 5.0))
+    assert (told.speed_fraction, told.reason) == (
+        0.0,
+        "stopped: the arm's joints jump by 1.00 rad: two arms' have the same names",
+    )
+    known = cell.node.diagnoses()[0]
+    assert known.level is convert.Level.ERROR
+    assert "give their joints' names a prefix each" in known.message
+
+
 def test_joints_that_come_late_do_not_replace_newer_ones() -> None:
     cell = Cell()
     cell.joints()

@@ -165,6 +165,7 @@ def test_an_arm_that_works_where_nobody_looks_is_told_of_for_a_while() -> None:
     cell.joints(inside)
     cell.somebody()
     assert told().level is convert.Level.OK
+    cell.wait(500)
     cell.joints(inside + 1.5 * TURNING)
     cell.somebody()
     cell.wait(1000)

@@ -21,6 +21,10 @@ _STRAY_RAD = 0.05
 """So near to its path an arm is found that follows it: 3 degrees, as near as a trajectory must begin."""
 _LAG_NS = 100_000_000
 """So long, ns, it may be behind its path or before it: as servoJ's look-ahead, the longest lag of those who obey."""
+_JUMP_RAD = 0.1
+"""Beside its way a joint is found so far from where it was, where messages are lost or stamped late."""
+_FASTEST_RAD_S = 15.0
+"""No joint turns faster, whatever its rating."""
 _LAGS_NS = np.arange(-_LAG_NS, _LAG_NS + 1, STEP_NS)
 
 
@@ -46,6 +50,9 @@ class ArmPredictor:
         """Whether the arm has been told to leave its path and stay where it is."""
         self._stray_rad: float | None = None
         self._joints: JointSample | None = None
+        self._jump_rad = 0.0
+        self._jumped: int | None = None
+        """When the joints were last somewhere no arm gets to from where they had been."""
         self._measures_velocities = False
         """Whether any velocity but 0 was ever told: some drivers fill in zeros for what they do not measure."""
         self._intended = np.zeros(model.joints)
@@ -83,6 +90,11 @@ class ArmPredictor:
         """How far the joints were from where the newest path had them, rad, when that ended it; None: they were not."""
         return self._stray_rad
 
+    def torn_rad(self, now: int) -> float | None:
+        """How far (rad) the joints have jumped lately (ns): they are two arms', and nobody knows which is this one."""
+        is_lately = self._jumped is not None and abs(now - self._jumped) <= self._lasting_ns
+        return self._jump_rad if is_lately else None
+
     def take_path(self, path: JointPath) -> None:
         """A new path; raises `RobotError` where a joint is missing or an angle is not finite."""
         positions = self._model.order(path.names, path.positions)
@@ -113,6 +125,10 @@ class ArmPredictor:
         passed_ns = 0 if before is None else sample.stamp - before.stamp
         if -self._lasting_ns < passed_ns < 0:
             return
+        if before is not None and 0 <= passed_ns <= self._lasting_ns:
+            jump_rad = float(np.abs(_turned(before.positions, positions)).max())
+            if jump_rad > _JUMP_RAD + _FASTEST_RAD_S * passed_ns * 1e-9:
+                self._jump_rad, self._jumped = jump_rad, sample.stamp
         self._measures_velocities |= has_velocities and bool(velocities.any())
         if before is not None and not (has_velocities and self._measures_velocities):
             velocities = before.velocities
@@ -132,6 +148,8 @@ class ArmPredictor:
         Raises `ArmError`, with the reason, where nobody knows any more or no cycle can be made up, and `RobotError`
         where only another arm's joints have come.
         """
+        if (torn_rad := self.torn_rad(now)) is not None:
+            raise ArmError(f"the arm's joints jump by {torn_rad:.2f} rad: two arms' have the same names")
         path, joints = self._path, self._joints
         if path is not None and not self._is_held and path.stamps[0] <= now <= path.stamps[-1]:
             gone_on = go_on(self._model, path, _GONE_ON_NS)

@@ -123,6 +123,12 @@ class ArmNode(Node):
             message = f"nobody publishes {JOINT_STATES} or {TRAJECTORY}: a made-up cycle is judged in place of an arm"
         elif self._arm.refused is not None:
             level, message = convert.Level.ERROR, self._arm.refused
+        elif (torn_rad := self._arm.torn_rad(self.clock.now())) is not None:
+            level = convert.Level.ERROR
+            message = (
+                f"the arm's joints jump by {torn_rad:.2f} rad, so it stands: where two arms tell of themselves on "
+                f"{JOINT_STATES}, give their joints' names a prefix each ('joints' of 'arm' and 'ur_driver')"
+            )
         elif self._arm.stray_rad is not None:
             level = convert.Level.WARN
             message = (
