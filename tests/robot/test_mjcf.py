@@ -272,6 +272,31 @@ def test_an_arm_with_a_gripper_is_told_how_to_name_its_joints(tmp_path: Path) ->
             arm_model("ur5e", joint_names=wrong)
 
 
+@pytest.mark.parametrize("open_m", [0.0, 0.03, 0.06])
+def test_fingers_are_the_arms_wherever_they_are(tmp_path: Path, open_m: float) -> None:
+    """The file has them closed: open, they stuck out of all capsules, and were something that moves beside the arm."""
+    path = tmp_path / "gripped.xml"
+    ranged = GRIPPED.replace('type="slide" axis="0 1 0"', 'type="slide" axis="0 1 0" range="0 0.06"')
+    tipped = ranged.replace(
+        "</body>",
+        '<body pos="0 0 .1"><joint axis="1 0 0" range="-60 10"/><geom pos="0 0 .05" size=".01"/></body></body>',
+        1,
+    )
+    path.write_text(tipped)
+    arm = arm_model(path, joint_names=("shoulder", "elbow"))
+    assert arm.capsules.links.tolist() == [0, 1, 2, 2, 2, 2]
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(engine)
+    for bent in np.radians([-60, -20, 10]):
+        data.qpos[:] = [0.0, 0.0, open_m, bent, open_m]
+        mujoco.mj_kinematics(engine, data)
+        placed = place_capsules(arm, forward_kinematics(arm, np.zeros(2)))
+        for geom, capsule in zip(range(2, engine.ngeom), range(2, 6), strict=True):
+            apart = distance_to_segment(data.geom_xpos[geom][None], placed.ends[capsule])[0]
+            assert apart + engine.geom_size[geom, 0] <= placed.radii[capsule] + 1e-3
+            assert placed.radii[capsule] < 0.1
+
+
 RAIL = """<mujoco><worldbody><body name="carriage"><joint name="rail" type="slide" axis="1 0 0"/><geom size=".05"/>
   <body name="a"><joint name="pan" axis="0 0 1"/><geom size=".05"/>
     <body name="b" pos="0 0 .3"><joint name="shoulder" axis="0 1 0"/><geom size=".05"/>

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.dom import expatbuilder
@@ -32,6 +33,8 @@ TOOL = "tool0"
 _CAPSULES_PER_MESH = 2
 _BARE_M = 0.1
 """A link as long as this, m, has a shape."""
+_PLACES, _PLACES_OF_MORE = 5, 3
+"""How often within its range a joint that the arm carries is looked at: of one or two in a chain, and of more."""
 _ROUND_POINTS = 24
 """Corners drawn around a cylinder before a capsule is fitted."""
 
@@ -74,8 +77,9 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     """Serial arm from an MJCF or URDF file; meshes and other shapes become the capsules that enclose them.
 
     The file's world is `base_link`. `joint_names` picks the arm's joints in order, where the file has others too (a
-    gripper's): those stay where the file puts them, so none may carry one of the arm's; what they move beside the arm,
-    a second arm for example, is left out. Geoms that take part in no contact (visuals) are left out of a moving body
+    gripper's): none may carry one of the arm's. What they move on a link (fingers) is enclosed wherever in their range
+    they may be; one without a range stays where the file puts it. What they move beside the arm, a second arm for
+    example, is left out. Geoms that take part in no contact (visuals) are left out of a moving body
     that has others; MuJoCo reads none from a URDF. Tools are given in the file's frame `tool0`, a link or site fixed to
     the last link, or in the last joint's (z along its axis) where there is none. A URDF's velocity limits are the
     joints' ratings; where there is none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError` for a file that
@@ -249,18 +253,46 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     counts &= (carriers != 0) | np.array([_is_fixed(engine, int(body)) for body in bodies_of], dtype=np.bool_)
     owners, ends, radii = [], [], []
     for geom, link in zip(of_arm[counts], carriers[counts], strict=True):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-        local = inverse_pose(frames[link]) @ pose
+        on = int(bodies[link - 1]) if link else 0
+        local = inverse_pose(frames[link]) @ _places(engine, data, int(geom), on)
         for capsule in _geom_capsules(engine, int(geom)):
+            held = _sweep(capsule, local)
             owners.append(link)
-            ends.append(transform(local, capsule.ends))
-            radii.append(capsule.radius)
+            ends.append(held.ends)
+            radii.append(held.radius)
     if not any(owners):
         raise RobotError(
             "expected links with shapes to stay clear with, found none; give them geoms, <collision> elements in a URDF"
         )
     return Capsules(np.array(owners, dtype=np.int64), np.array(ends).reshape(-1, 2, 3), np.array(radii))
+
+
+def _places(engine: Any, data: Any, geom: int, on: int) -> Float64:
+    """Poses [P, 4, 4] of a geom: as the data has it, and for all that joints between it and the body `on` may do."""
+    chain = [int(engine.geom_bodyid[geom]), *_ancestors(engine, int(engine.geom_bodyid[geom]))]
+    between = chain[: chain.index(on)]
+    joints = [j for j in range(engine.njnt) if int(engine.jnt_bodyid[j]) in between and engine.jnt_limited[j]]
+    count = _PLACES if len(joints) <= 2 else _PLACES_OF_MORE
+    ranges = [np.linspace(lower, upper, count) for lower, upper in engine.jnt_range[joints]]
+    addresses = engine.jnt_qposadr[joints]
+    posed, poses = mujoco.MjData(engine), []
+    posed.qpos[:] = data.qpos
+    for values in (data.qpos[addresses], *product(*ranges)):
+        posed.qpos[addresses] = values
+        mujoco.mj_kinematics(engine, posed)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = posed.geom_xmat[geom].reshape(3, 3), posed.geom_xpos[geom]
+        poses.append(pose)
+    return np.stack(poses) if joints else poses[0][None]
+
+
+def _sweep(capsule: Capsule, poses: Float64) -> Capsule:
+    """A capsule about one that is at each of some poses [P, 4, 4]."""
+    ends = np.concatenate([transform(pose, capsule.ends) for pose in poses])
+    if len(poses) == 1:
+        return Capsule(ends, capsule.radius)
+    about = fit_capsule(ends)
+    return Capsule(about.ends, about.radius + capsule.radius)
 
 
 def _carrier(engine: Any, links: dict[int, int], body: int) -> int:
