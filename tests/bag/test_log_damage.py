@@ -12,7 +12,8 @@ from rosbags.rosbag2 import ReaderError, StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
-from twin_node.bag import BagError, LogWriter, open_log
+from twin_node.bag import BagError, LogWriter, mcap_storage, open_log
+from twin_node.bag.mcap_records import opened
 from twin_node.messages import message_type, serialize
 
 COUNT = 400
@@ -57,6 +58,24 @@ def test_a_file_without_its_end_loses_nothing(tmp_path: Path, whole: Path) -> No
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole.read_bytes()[:-20])
     assert read(path) == (list(range(COUNT)), None)
+
+
+def test_a_log_without_its_end_is_known_without_being_read_whole(
+    tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording of gigabytes took minutes to open: each chunk is opened only where no records behind it tell."""
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.read_bytes()[:-20])
+    opens: list[int] = []
+    monkeypatch.setattr(mcap_storage, "opened", lambda record, size: opens.append(size) or opened(record, size))
+    told, by_indexes = [], mcap_storage.McapStorage._stamps
+    for stamps in (by_indexes, lambda *_: None):
+        monkeypatch.setattr(mcap_storage.McapStorage, "_stamps", stamps)
+        storage = mcap_storage.McapStorage(path)
+        told.append((len(opens), storage.channels, [(p.start, p.end, p.offset, p.topics) for p in storage.parts]))
+        storage.close()
+    assert (told[0][0], told[1][0]) == (1, 1 + COUNT // 20)
+    assert told[0][1:] == told[1][1:]
 
 
 def test_a_damaged_index_loses_nothing(tmp_path: Path, whole: Path) -> None:

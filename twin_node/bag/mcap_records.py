@@ -67,6 +67,41 @@ def frames(file: BinaryIO, start: int, stop: int) -> Iterator[Frame]:
         start = frame.end
 
 
+@dataclass(frozen=True)
+class Indexed:
+    """A record, and those behind it that say what is in it where it is a chunk."""
+
+    frame: Frame
+    indexes: tuple[Frame, ...] = ()
+    is_whole: bool = True
+    """Whether something else was found behind them: a file may end before the last of them."""
+
+    @property
+    def end(self) -> int:
+        """Where the last of them ends, bytes."""
+        return self.indexes[-1].end if self.indexes else self.frame.end
+
+
+def indexed(found: Iterator[Frame]) -> Iterator[Indexed]:
+    """Records with their message indexes; what `found` raises comes after all that it has found."""
+    last: Frame | None = None
+    indexes: list[Frame] = []
+    try:
+        for frame in found:
+            if frame.opcode == Opcode.MESSAGE_INDEX and last is not None:
+                indexes.append(frame)
+                continue
+            if last is not None:
+                yield Indexed(last, tuple(indexes))
+            last, indexes = frame, []
+    except DAMAGED:
+        if last is not None:
+            yield Indexed(last, tuple(indexes), is_whole=False)
+        raise
+    if last is not None:
+        yield Indexed(last, tuple(indexes), is_whole=False)
+
+
 def parsed(file: BinaryIO, frame: Frame) -> McapRecord:
     """A record; a chunk's data is not opened. Raises `DAMAGED`, as do all that read records."""
     file.seek(frame.start)

@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Attachment, ChunkIndex, Footer, McapRecord, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, ChunkIndex, Footer, McapRecord, Message, MessageIndex, Metadata, Schema, Statistics
 from mcap.records import Channel as ChannelRecord
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
@@ -26,8 +26,10 @@ from twin_node.bag.mcap_records import (
     MAGIC,
     RECORD_HEAD,
     Frame,
+    Indexed,
     damage_in_words,
     frames,
+    indexed,
     is_header,
     messages_in,
     opened,
@@ -227,18 +229,20 @@ class McapStorage:
     def _from_scan(self) -> _Index:
         """Index from one pass over the data section, as far as one record leads to the next.
 
-        Damaged chunks are passed over: they are parts too, and told when they are read.
+        A chunk is opened where the records behind it do not tell what is in it, or nothing has named a channel of its.
+        Damaged ones are passed over: they are parts too, and told when they are read.
         """
         index, size, start = _Index(), self._path.stat().st_size, len(MAGIC)
         damage: list[str] = []
         try:
-            for frame in frames(self._file, start, size):
+            for record in indexed(frames(self._file, start, size)):
+                frame = record.frame
                 if frame.opcode == Opcode.DATA_END:
                     break
                 if start == len(MAGIC) and not is_header(parsed(self._file, frame), frame.size):
                     raise ValueError("it does not begin with a header")
-                self._take(index, frame)
-                start = frame.end
+                self._take(index, record)
+                start = record.end
             else:
                 raise EOFError
         except DAMAGED as error:
@@ -257,15 +261,40 @@ class McapStorage:
         self._file.seek(frame.start + RECORD_HEAD.size)
         return form.unpack(self._file.read(form.size))
 
-    def _take(self, index: _Index, frame: Frame) -> None:
+    def _take(self, index: _Index, record: Indexed) -> None:
+        frame = record.frame
         if frame.opcode == Opcode.CHUNK:
-            self._take_chunk(index, frame)
+            stamps = self._stamps(index, record)
+            if stamps is None:
+                self._take_chunk(index, frame)
+            else:
+                self._add_part(index, frame, stamps)
         elif frame.opcode == Opcode.MESSAGE:
             channel, _, stamp = self._head(frame, MESSAGE_HEAD)
             index.counts[channel] += 1
             _append_loose(index, Part(self, stamp, stamp, frame.start, frame.size))
         elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT):
             _take_name(index, parsed(self._file, frame))
+
+    def _stamps(self, index: _Index, chunk: Indexed) -> dict[int, list[int]] | None:
+        """Log times, ns, per channel by a chunk's message indexes; None where these cannot be all that there is."""
+        try:
+            records = [parsed(self._file, frame) for frame in chunk.indexes] if chunk.is_whole else []
+            ends = self._head(chunk.frame, CHUNK_TIMES)
+        except DAMAGED:
+            return None
+        told = {record.channel_id: record.records for record in records if isinstance(record, MessageIndex)}
+        stamps = {channel: [stamp for stamp, _ in messages] for channel, messages in told.items() if messages}
+        found = [stamp for each in stamps.values() for stamp in each]
+        is_all = bool(found) and len(told) == len(records) and (min(found), max(found)) == ends
+        return stamps if is_all and stamps.keys() <= index.channels.keys() else None
+
+    def _add_part(self, index: _Index, frame: Frame, stamps: Mapping[int, Sequence[int]]) -> None:
+        """A chunk with messages of these log times, ns, per channel."""
+        for channel, each in stamps.items():
+            index.counts[channel] += len(each)
+        first, last = min(map(min, stamps.values())), max(map(max, stamps.values()))
+        index.parts.append(Part(self, first, last, frame.start, frame.size, index.topics_of(stamps.keys())))
 
     def _take_chunk(self, index: _Index, frame: Frame) -> None:
         try:
@@ -274,17 +303,14 @@ class McapStorage:
             index.damage.append(f"byte {frame.start} ({damage_in_words(error)})")
             index.parts.append(self._damaged_part(index, frame))
             return
-        stamps, channels = [], set()
+        stamps: dict[int, list[int]] = {}
         for item in contents:
             if isinstance(item, Message):
-                stamps.append(item.log_time)
-                channels.add(item.channel_id)
-                index.counts[item.channel_id] += 1
+                stamps.setdefault(item.channel_id, []).append(item.log_time)
             else:
                 _take_name(index, item)
         if stamps:
-            topics = index.topics_of(channels)
-            index.parts.append(Part(self, min(stamps), max(stamps), frame.start, frame.size, topics))
+            self._add_part(index, frame, stamps)
 
     def _damaged_part(self, index: _Index, frame: Frame) -> Part:
         """A chunk that cannot be opened, at the times that it says, or at the last one before where those cannot be."""
