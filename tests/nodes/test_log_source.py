@@ -127,6 +127,7 @@ def test_an_arm_whose_base_is_not_base_link_is_told(tmp_path: Path, height_m: fl
             log.write_raw(one.topic, one.msgtype, one.data, one.stamp)
         log.write("/joint_states", convert.joint_sample_to_message(JointSample(5, names, np.zeros(6), np.zeros(6))), 5)
     with LogSession(tmp_path / "joints.mcap") as session:
+        assert session.arm("ur5e").joint_names == names
         lines = [line for line in session.doubts if "is ur_base_link, 0.60 m from base_link" in line]
         assert lines == list(session.doubts) and bool(lines) == is_told
     with open_log(tmp_path / "joints.mcap") as read:

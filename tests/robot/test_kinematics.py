@@ -111,6 +111,16 @@ def test_joints_with_a_prefix_are_taken_once_they_are_named() -> None:
             arm_model("ur5e", joint_names=wrong)
 
 
+def test_an_arm_is_found_under_the_names_that_its_joints_have() -> None:
+    arm = ur_model("ur5e")
+    left, right = (tuple(prefix + name for name in arm.joint_names) for prefix in ("left_", "right_"))
+    assert arm.called_as(("gripper", *left)).joint_names == left
+    assert arm.called_as((*left, *arm.joint_names)) is arm
+    for several_or_none in ((*left, *right), ("gripper", *left[:5]), ()):
+        with pytest.raises(RobotError, match="joints: expected those of one ur5e, shoulder_pan_joint"):
+            arm.called_as(several_or_none)
+
+
 def test_wrong_joint_values_are_refused() -> None:
     model = ur_model("ur5e")
     with pytest.raises(RobotError, match=r"expected 6 angles for ur5e, found shape \(5,\)"):

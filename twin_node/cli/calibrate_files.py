@@ -139,11 +139,10 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
     from twin_node.nodes.topics import parse_remaps
     from twin_node.rig.calibrate.check import check_against_recording
     from twin_node.rig.undistort import without_distortion
-    from twin_node.robot import arm_model
 
     raw = without_distortion(rig)
-    arm = arm_model(options.arm) if options.arm else None
     with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=options.duration) as session:
+        arm = session.arm(options.arm) if options.arm else None
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())
         sets = list(tqdm(source, unit="set", desc="read", disable=None))
     return check_against_recording(rig, sets, arm)

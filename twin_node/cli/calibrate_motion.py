@@ -74,6 +74,7 @@ def _add_clock_options(parser: argparse.ArgumentParser) -> None:
 def _refine(options: argparse.Namespace) -> None:
     from twin_node.rig import RigError
     from twin_node.rig.calibrate.refine import measured_by_depth, refine_rig
+    from twin_node.robot import RobotError
 
     with _session(options) as session:
         rig = session.rig
@@ -92,7 +93,7 @@ def _refine(options: argparse.Namespace) -> None:
             session.rig = result.rig
             try:
                 timed = _timed(options, session, refined)
-            except RigError as error:  # the refined places are worth keeping all the same
+            except (RigError, RobotError) as error:  # the refined places are worth keeping all the same
                 warnings.append(f"clocks are left as they are: {error}")
             else:
                 refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
@@ -154,13 +155,12 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     from twin_node.nodes.synchronizer import SynchronizerParameters
     from twin_node.rig.calibrate.clocks import calibrate_clocks
     from twin_node.rig.evidence import CameraEvidence
-    from twin_node.robot import arm_model
 
     images = {camera.image: camera.name for camera in session.cameras}
     topics = {topic: images[name] for topic, name in session.topics.items() if name in images}
     for camera, step in camera_clock_steps(session.log, topics, session.span).items():
         warn(f"camera {camera}: {step.told(session.span.start_ns)}")
-    arm = arm_model(options.arm) if options.arm else None
+    arm = session.arm(options.arm) if options.arm else None
     parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
     source = LogSource(session, parameters, arm.joint_names if arm else ())
     sets = tqdm(source, unit="set", desc="time", disable=None)

@@ -70,15 +70,18 @@ def joint_doubts(names: Renamed) -> Iterator[str]:
         )
 
 
+def joints_told(log: LogReader, names: Renamed) -> tuple[str, ...]:
+    """Names of the joints that a log tells of, in their order."""
+    entries = itertools.islice(log.messages([names.original(JOINT_STATES)]), LOOKED_AT)
+    return tuple(dict.fromkeys(name for entry in entries for name in content_of(entry, log).name))
+
+
 def base_doubts(log: LogReader, names: Renamed) -> Iterator[str]:
     """A line for each arm that has a base of its own, which is not where `base_link` is: on a cart, or one of two.
 
     By a prefix of its driver's before the names of its joints, as UR's are called, and of that frame.
     """
-    topic = names.original(JOINT_STATES)
-    told = {
-        name for entry in itertools.islice(log.messages([topic]), LOOKED_AT) for name in content_of(entry, log).name
-    }
+    told = joints_told(log, names)
     prefixes = sorted(name.removesuffix(JOINT_NAMES[0]) for name in told if name.endswith(JOINT_NAMES[0]))
     if not any(prefixes):
         return

@@ -11,13 +11,14 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import base_doubts, clock_doubts, joint_doubts, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, clock_doubts, joint_doubts, joints_told, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
 from twin_node.rig import workspace_of
+from twin_node.robot import ArmModel, arm_model
 from twin_node.runtime.bus import Bus, LocalBus
 from twin_node.runtime.clock import Clock, SteppedClock
 from twin_node.scene import Camera, Float64, FrameSet, Rig
@@ -41,7 +42,7 @@ class LogSession:
         self._opened = (path, rig_file, remaps, start_offset_s, duration_s)
         self.log: LogReader = open_log(path)
         try:
-            names = renamed(self.log, remaps)
+            self._names = names = renamed(self.log, remaps)
             with damage_first(self.log):
                 cameras = cameras_of(self.log, names)
                 in_log = [names.original_camera(camera) for camera in cameras.found]
@@ -73,6 +74,13 @@ class LogSession:
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: opened there."""
         return LogSession, self._opened
+
+    def arm(self, name: str) -> ArmModel:
+        """The arm of a name or file, its joints as the log calls them.
+
+        Raises `RobotError` for an arm that is not known, and where the log tells of no such arm or of several.
+        """
+        return arm_model(name).called_as(joints_told(self.log, self._names))
 
     def warn(self, doubts: Sequence[str]) -> None:
         """Warns of some of its doubts, with a `TwinWarning` each; of each once in a command."""

@@ -91,7 +91,8 @@ class ArmModel:
         if missing:
             advice = f"publish {', '.join(missing)} too, or choose another arm than {self.name}"
             if prefixed := self._prefixed(names):
-                advice = f"say that they are called so: 'arm.joints: [{', '.join(prefixed)}]', or in the arm's own file"
+                called = ", ".join(prefixed[0])
+                advice = f"say that they are called so: 'arm.joints: [{called}]', or in the arm's own file"
             raise RobotError(
                 f"joint values: expected {', '.join(self.joint_names)}, found {', '.join(names) or 'none'}; {advice}"
             )
@@ -105,12 +106,27 @@ class ArmModel:
         _refuse_wild(ordered)
         return ordered
 
-    def _prefixed(self, names: Sequence[str]) -> tuple[str, ...]:
-        """The arm's joints under names of these that have one prefix before them all; none where there are none."""
+    def called_as(self, names: Sequence[str]) -> ArmModel:
+        """The same arm, its joints as these names have them: as its own file does, or with one prefix before them all.
+
+        Raises `RobotError` where they are no such arm's, or several.
+        """
+        if set(self.joint_names) <= set(names):
+            return self
+        prefixed = self._prefixed(names)
+        if len(prefixed) != 1:
+            raise RobotError(
+                f"joints: expected those of one {self.name}, {', '.join(self.joint_names)}, each with a prefix if its "
+                f"driver gives it one, found {', '.join(names) or 'none'}; give the arm's own file, or record them"
+            )
+        return replace(self, joint_names=prefixed[0])
+
+    def _prefixed(self, names: Sequence[str]) -> list[tuple[str, ...]]:
+        """The arm's joints under names of these that have one prefix before them all, once for each such prefix."""
         first = self.joint_names[0]
         prefixes = (name.removesuffix(first) for name in names if name.endswith(first))
         called = (tuple(prefix + joint for joint in self.joint_names) for prefix in prefixes)
-        return next((joints for joints in called if set(joints) <= set(names)), ())
+        return [joints for joints in called if set(joints) <= set(names)]
 
     def ordered_positions(self, sample: JointSample) -> Float64:
         """Angles [J] of a sample in the model's own order; raises `RobotError` as `order` does."""
