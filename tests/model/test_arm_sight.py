@@ -103,6 +103,12 @@ def test_one_camera_that_alone_sees_past_it_is_named() -> None:
     assert "cam0" not in line
 
 
+def test_a_gripper_that_holds_less_than_it_may_says_nothing() -> None:
+    along = np.linspace([0, 0, 0.1], [0, 0, 0.9], 9)
+    tool = np.stack([along[:-1], along[1:]], axis=1)
+    assert told_by(seen(0), arm=ARM.carrying(tool, np.full(len(tool), 0.03))) == ()
+
+
 def test_what_hides_the_arm_says_nothing_of_it() -> None:
     assert told_by(moved(seen(0, hand=True), turned(180))) == ()
 

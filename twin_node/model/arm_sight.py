@@ -117,19 +117,21 @@ def _shares(arm: ArmModel, q: Float64, views: Sequence[View]) -> dict[str, float
 def seen_past(placed: PlacedCapsules, view: View) -> float | None:
     """Share of the places on an arm's axes that a camera measures something past, of those that nothing hides from it.
 
-    None where too few are told.
+    None where too few are told. The last link's do not count: a gripper is given at its widest, with what it may hold.
     """
     if view.depth is None:
         return None
-    axes = placed.ends[:, 1] - placed.ends[:, 0]
+    own = placed.links < placed.links.max()
+    ends, of_capsules = placed.ends[own], placed.radii[own]
+    axes = ends[:, 1] - ends[:, 0]
     counts = np.maximum(np.linalg.norm(axes, axis=1) / STEP_M, 1).astype(np.int64)
     of = np.repeat(np.arange(len(axes)), counts)
     shares = (np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[of]
-    places = placed.ends[of, 0] + shares[:, None] * axes[of]
+    places = ends[of, 0] + shares[:, None] * axes[of]
     camera, K = view.camera, view.camera.K
     x, y, z = (places @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
-    before = z > placed.radii[of]
-    x, y, z, radii = x[before], y[before], z[before], placed.radii[of][before]
+    before = z > of_capsules[of]
+    x, y, z, radii = x[before], y[before], z[before], of_capsules[of][before]
     columns = np.floor(x / z * K[0, 0] + K[0, 2])
     rows = np.floor(y / z * K[1, 1] + K[1, 2])
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
