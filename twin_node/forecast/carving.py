@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.filled import FilledDepth
+from twin_node.forecast.looking_past import LookingPast
 from twin_node.forecast.sights import CarvingParameters, Look, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable, RigTables
 from twin_node.forecast.unprojection import unproject
-from twin_node.forecast.verdicts import Carved, Sight, carved
+from twin_node.forecast.verdicts import BESIDE, Carved, Sight, carved
 from twin_node.scene import Bool, Camera, Float32, TwinState, View
 
 _PIXEL_ERROR = 0.5
@@ -42,6 +43,7 @@ class Carver:
         self._blocks = tables.blocks
         self._backdrops = Backdrops()
         self._filled = FilledDepth()
+        self._past = LookingPast(tables.blocks.grid)
         self._fronts = _Fronts(self._blocks)
         self._last: tuple[TwinState, list[Sight]] | None = None
 
@@ -63,6 +65,11 @@ class Carver:
         sights = self._sights(state, speed)
         self._last = (state, sights)
         return carved(self._blocks, sights)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader must know of the cameras as of the last state."""
+        return self._past.warnings
 
     def calmed(self, view: View) -> Float32:
         """[H, W] depth that a view of the last state measures, without its noise where that has been averaged, m."""
@@ -89,7 +96,12 @@ class Carver:
             look = Look(table, view, moving, robot, backdrop, pixels)
             # Beyond that what it shows may be anywhere by now, and takes minutes to widen.
             looks.append(look if pixels <= max(moving.shape) / 2 else _showing_nothing(look))
-        sights = sights_of(self._filled.without(looks), self.parameters)
+        looks = self._filled.without(looks)
+        sights = sights_of(looks, self.parameters)
+        for sight, doubted in zip(sights, self._past.of(looks, state.stamp), strict=True):
+            if doubted is not None:
+                sight.free_until[:-1][doubted.ravel()] = 0
+                sight.flags[:-1][doubted.ravel()] &= ~BESIDE
         flat = [(look, sight) for look, sight in zip(looks, sights, strict=True) if look.view.depth is None]
         measured = self._measured_to_move(looks, sights) if flat else np.zeros(0, np.int64)
         for look, sight in flat:

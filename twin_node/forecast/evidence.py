@@ -68,6 +68,8 @@ class Evidence:
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
     has_lone_sights: bool
     """Whether a camera without depth alone shows something move (`LoneSights`)."""
+    warnings: tuple[str, ...]
+    """What a reader must know of the cameras (`LookingPast`)."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,7 @@ class Observer:
             unseen=behind,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
             has_lone_sights=self._lone.update(state, parts.indices, hiding),
+            warnings=self._carver.warnings,
         )
 
     def _carve(self, state: TwinState) -> Carved:

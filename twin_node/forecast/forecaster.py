@@ -176,7 +176,7 @@ class Forecaster:
         is_told_apart = has_depth or len(state.frames.views) >= WITNESSES
         alone = (not is_told_apart and any(mask.any() for mask in state.moving_masks)) or evidence.has_lone_sights
         told = ((paused and evidence.parts.count > 0, _PAUSED), (alone, _ALONE))
-        self._warnings = tuple(line for is_so, line in told if is_so)
+        self._warnings = (*(line for is_so, line in told if is_so), *evidence.warnings)
         if has_depth:
             self._depth_at = state.stamp
         motion, whole = evidence.motion, evidence.whole
