@@ -1,4 +1,4 @@
-"""What one camera without depth alone sees move is a warning, wherever other cameras look."""
+"""What one camera alone sees move, and does not measure, is a warning, wherever other cameras look."""
 
 from __future__ import annotations
 
@@ -50,3 +50,17 @@ def test_what_keeps_still_is_none_nor_what_a_camera_measures() -> None:
     still = 4 + FRESH_NS // STEP_NS
     assert not any(told([state(tick, 0.1, (1, 2)) for tick in range(2 * still)])[still:])
     assert not any(told([state(tick, 0.05 * tick - 0.3, (1, 2), (0,)) for tick in range(10)]))
+
+
+@pytest.mark.parametrize("cameras", [1, 3])
+def test_who_comes_in_before_one_depth_camera_that_measures_nothing_of_them_is_a_warning(cameras: int) -> None:
+    dark = []
+    for tick in range(10):
+        one = state(tick, 0.05 * tick - 0.3, (1, 2), (0, 1, 2))
+        first, *others = one.frames.views
+        assert first.depth is not None
+        depth = np.where(one.moving_masks[0], 0, first.depth).astype(np.float32)
+        frames = replace(one.frames, views=(replace(first, depth=depth), *others)[:cameras])
+        masks, robots = one.moving_masks[:cameras], one.robot_masks[:cameras]
+        dark.append(replace(one, frames=frames, moving_masks=masks, robot_masks=robots))
+    assert all(told(dark)[4:])

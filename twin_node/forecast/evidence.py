@@ -67,7 +67,7 @@ class Evidence:
     resting: NDArray[np.int64]
     """[n] flat indices in the outer grid of what stands, but moved a while ago and may start again (`Resting`)."""
     has_lone_sights: bool
-    """Whether a camera without depth alone shows something move (`LoneSights`)."""
+    """Whether one camera alone shows something move that it does not measure (`LoneSights`)."""
     warnings: tuple[str, ...]
     """What a reader must know of the cameras (`LookingPast`)."""
 

@@ -289,9 +289,9 @@ _PAUSED = (
     "forecast: nothing is known of how things move after a pause in the images: worst case for them, tracks begun anew"
 )
 _ALONE = (
-    "forecast: one camera without depth alone shows that something moves, and not how far away: all along its lines of "
-    "sight space is unknown, and where it will be is not foreseen; let a second camera see there, or one that measures "
-    "depth"
+    "forecast: one camera alone shows that something moves, without depth of it, and not how far away: all along its "
+    "lines of sight space is unknown, and where it will be is not foreseen; let a second camera see there, or one that "
+    "measures its depth"
 )
 _NEVER = np.iinfo(np.int64).min // 2
 _NOWHERE = 1e6

@@ -1,4 +1,4 @@
-"""What one camera without depth alone sees move: where it is nobody knows."""
+"""What one camera alone sees move and does not measure: where it is nobody knows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RIM = np.ones((3, 3), np.uint8)
 
 
 class LoneSights:
-    """Follows which pixels of cameras without depth show something move that is in no moving space."""
+    """Follows which pixels show something move, without depth of it, that is in no moving space."""
 
     def __init__(self, tables: RigTables) -> None:
         self._tables = tables
@@ -33,9 +33,8 @@ class LoneSights:
         explains. Somebody who is neither in the one nor behind the other is not near.
         """
         is_so = False
-        for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
-            if view.depth is not None:
-                continue
+        for view, moves in zip(state.frames.views, state.moving_masks, strict=True):
+            mask = moves if view.depth is None else moves & (view.depth <= 0)  # dark clothes; edges are too narrow
             fresh = mask & ~self._before(view.camera.name, view.stamp, mask)
             if np.count_nonzero(fresh) < SMALLEST_SHARE * mask.size:
                 continue
