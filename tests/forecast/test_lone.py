@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, state_of
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, state_of
 
-from twin_node.forecast import Forecaster
+from twin_node.forecast import Forecaster, ForecastResult
+from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.lone import FRESH_NS
 from twin_node.scene import FrameSet, TwinState
 
@@ -28,6 +29,17 @@ def state(tick: int, y: float, blind: tuple[int, ...], measuring: tuple[int, ...
         masks[number] = np.zeros((HEIGHT, WIDTH), np.bool_)
     frames = FrameSet(tick * STEP_NS, tuple(views))
     return replace(seen[0], frames=frames, moving_masks=tuple(masks), robot_masks=(None,) * 3)
+
+
+def dark(tick: int, y: float, cameras: int) -> TwinState:
+    """The same before so many depth cameras, of which the first alone shows the ball, and measures nothing of it."""
+    one = state(tick, y, (1, 2), (0, 1, 2))
+    first, *others = one.frames.views
+    assert first.depth is not None
+    depth = np.where(one.moving_masks[0], 0, first.depth).astype(np.float32)
+    frames = replace(one.frames, views=(replace(first, depth=depth), *others)[:cameras])
+    masks, robots = one.moving_masks[:cameras], one.robot_masks[:cameras]
+    return replace(one, frames=frames, moving_masks=masks, robot_masks=robots)
 
 
 def told(states: list[TwinState]) -> list[bool]:
@@ -54,13 +66,28 @@ def test_what_keeps_still_is_none_nor_what_a_camera_measures() -> None:
 
 @pytest.mark.parametrize("cameras", [1, 3])
 def test_who_comes_in_before_one_depth_camera_that_measures_nothing_of_them_is_a_warning(cameras: int) -> None:
-    dark = []
-    for tick in range(10):
-        one = state(tick, 0.05 * tick - 0.3, (1, 2), (0, 1, 2))
-        first, *others = one.frames.views
-        assert first.depth is not None
-        depth = np.where(one.moving_masks[0], 0, first.depth).astype(np.float32)
-        frames = replace(one.frames, views=(replace(first, depth=depth), *others)[:cameras])
-        masks, robots = one.moving_masks[:cameras], one.robot_masks[:cameras]
-        dark.append(replace(one, frames=frames, moving_masks=masks, robot_masks=robots))
-    assert all(told(dark)[4:])
+    assert all(told([dark(tick, 0.05 * tick - 0.3, cameras) for tick in range(10)])[4:])
+
+
+@pytest.mark.parametrize("measuring", [True, False])
+def test_who_keeps_still_before_one_camera_and_is_not_measured_may_come_out_of_all_that_is_unknown_there(
+    measuring: bool,
+) -> None:
+    forecaster = Forecaster(GRID)
+    for tick in range(30):
+        now = dark(tick, 0.05 * min(tick, 6) - 0.3, 1)
+        if tick == 0:
+            now = replace(now, moving_masks=(np.zeros((HEIGHT, WIDTH), np.bool_),))  # seen to be empty
+        if not measuring:
+            views = tuple(replace(view, depth=None) for view in now.frames.views)
+            now = replace(now, frames=replace(now.frames, views=views))
+        found = forecaster.update(now, now.stamp + STEP_NS)
+
+    unknown = np.intersect1d(ball_voxels(np.array([0.0, 0.0, 0.45]), 0.13), _unknown(found))
+    assert len(unknown) > 100
+    assert found.hidden.reachable.holds(unknown).mean() > 0.95
+
+
+def _unknown(found: ForecastResult) -> np.ndarray:
+    """Flat indices of a forecast's unknown voxels."""
+    return np.flatnonzero(decode_runs(found.occupancy.unknown_runs, GRID.size))

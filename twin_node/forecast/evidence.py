@@ -134,7 +134,9 @@ class Observer:
         stands = self._standing.mask
         knows_arm = self._arm is not None and state.frames.joints is not None
         hiding, self._unseen = concealed(carved, knows_arm, stands, self._unseen)
-        behind = self._look_behind(state.stamp, hiding, carved.may_move, stands)
+        is_lone = self._lone.update(state, parts.indices, hiding)
+        someone = carved.may_move | Bits.of_indices(self.grid.dims, self._lone.within)
+        behind = self._look_behind(state.stamp, hiding, someone, stands)
         motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
         limbs = parts.likely & ~whole.followed[parts.labels]
@@ -148,7 +150,7 @@ class Observer:
             near=near,
             unseen=behind,
             resting=self._resting.update(state.stamp, parts.indices[limbs], stands),
-            has_lone_sights=self._lone.update(state, parts.indices, hiding),
+            has_lone_sights=is_lone,
             warnings=self._carver.warnings,
         )
 

@@ -25,6 +25,8 @@ class LoneSights:
     def __init__(self, tables: RigTables) -> None:
         self._tables = tables
         self._past: dict[str, deque[tuple[int, Bool]]] = {}
+        self.within: NDArray[np.int64] = np.zeros(0, np.int64)
+        """[n] unknown voxels behind such pixels, of what keeps still too, by the last state: somebody is in there."""
 
     def update(self, state: TwinState, moving: NDArray[np.int64], unknown: Bits) -> bool:
         """Whether some camera shows so, as of a state; states come in rising order of stamps.
@@ -32,18 +34,26 @@ class LoneSights:
         `moving` [n]: flat indices where all cameras together see something move; `unknown`: what nothing frees or
         explains. Somebody who is neither in the one nor behind the other is not near.
         """
-        is_so = False
+        is_so, within = False, [np.zeros(0, np.int64)]
         for view, moves in zip(state.frames.views, state.moving_masks, strict=True):
             mask = moves if view.depth is None else moves & (view.depth <= 0)  # dark clothes; edges are too narrow
             fresh = mask & ~self._before(view.camera.name, view.stamp, mask)
-            if np.count_nonzero(fresh) < SMALLEST_SHARE * mask.size:
+            if np.count_nonzero(_without_rims(mask)) < SMALLEST_SHARE * mask.size:
                 continue
             table, blocks = self._tables.of(view.camera), self._tables.blocks
-            lone = fresh & ~table.image_of(blocks.locate(moving))
-            lone = cv2.morphologyEx(lone.astype(np.uint8), cv2.MORPH_OPEN, _RIM) > 0
+            beside = ~table.image_of(blocks.locate(moving))
+            shown = _without_rims(mask & beside)
+            if np.count_nonzero(shown) < SMALLEST_SHARE * mask.size:
+                continue
+            nobody_sees = unknown.indices()
+            behind = nobody_sees[np.append(shown, False)[table.voxels.pixels[blocks.locate(nobody_sees)]]]
+            within.append(behind)
+            lone = _without_rims(fresh & beside)
             if np.count_nonzero(lone) >= SMALLEST_SHARE * mask.size:
-                lone &= table.image_of(blocks.locate(unknown.indices()))
-                is_so = is_so or bool(np.count_nonzero(lone) >= SMALLEST_SHARE * mask.size)
+                is_so |= bool(
+                    np.count_nonzero(lone & table.image_of(blocks.locate(behind))) >= SMALLEST_SHARE * mask.size
+                )
+        self.within = np.concatenate(within)
         return is_so
 
     def _before(self, camera: str, stamp: int, mask: Bool) -> Bool:
@@ -55,3 +65,8 @@ class LoneSights:
         while len(past) > 1 and stamp - past[1][0] >= FRESH_NS:
             past.popleft()
         return past[0][1]
+
+
+def _without_rims(mask: Bool) -> Bool:
+    """What of a mask [H, W] is three pixels wide."""
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _RIM) > 0
