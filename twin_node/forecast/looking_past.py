@@ -6,7 +6,7 @@ measured from another side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from twin_node.forecast.backdrops import STEP, STEP_SHARE
 from twin_node.forecast.sights import Look
 from twin_node.forecast.unprojection import points_at
-from twin_node.geometry import project
-from twin_node.scene import Bool, Float32, Grid, UInt8
+from twin_node.scene import Bool, Float32, Float64, Grid, UInt8
 
 CLEAR_M = 0.06
 """A point is seen past where so much about it is, m: rigs, clocks and edges err by less."""
@@ -38,6 +37,7 @@ _LOOKS_PAST = (
 _NEVER = np.iinfo(np.int64).min // 2
 _FAR = np.float32(1e6)
 _PATCH = np.ones((PATCH, PATCH), np.uint8)
+_ABOUT = np.ones((2 * PATCH - 1, 2 * PATCH - 1), np.uint8)
 
 
 class LookingPast:
@@ -55,55 +55,56 @@ class LookingPast:
     def of(self, looks: Sequence[Look], stamp: int) -> list[Bool | None]:
         """Per look at a state, [H, W] what must free nothing; None where all may. States come in rising order."""
         sights = [_DeepSight(look) for look in looks if look.view.depth is not None]
-        standing = self._standing(len(sights), stamp)
-        for number, sight in enumerate(sights):
-            others = [other for other in sights if other is not sight]
-            moves = _measured(sight.look, moving=True)
-            for other, past in zip(others, self._seen_past(sight.look, moves, PATCH, others), strict=True):
-                if past.any():
-                    (whole,) = self._seen_past(sight.look, moves, 1, (other,))
-                    self._catch(sight.look, whole, 1, other, stamp)
-            if number == standing:
-                stands = _measured(sight.look, moving=False)
-                for other, past in zip(others, self._seen_past(sight.look, stands, PATCH, others), strict=True):
-                    self._catch(sight.look, past, PATCH, other, stamp)
+        if len(sights) > 1:
+            self._compare(sights, stamp)
         doubted = [self._doubted(look, stamp) for look in looks]
         pairs = zip(looks, doubted, strict=True)
         told = [look for look, mask in pairs if mask is not None and mask.mean() >= TELLING_SHARE]
         self.warnings = tuple(f"forecast: camera {look.view.camera.name} {_LOOKS_PAST}" for look in told)
         return doubted
 
-    def _standing(self, count: int, stamp: int) -> int | None:
-        """Which camera's turn it is to be looked at for what stands."""
-        if count and (self._looked_at is None or (stamp - self._looked_at) * count >= PERIOD_NS):
+    def _compare(self, sights: Sequence[_DeepSight], stamp: int) -> None:
+        """Holds what moves, and in turn what stands, against all others."""
+        moves = [_Measured(sight.look, _measured(sight.look, moving=True)) for sight in sights]
+        for found in self._seen_past(moves, PATCH, sights):
+            for whole in self._seen_past([found.surroundings()], 1, [found.by]):
+                self._catch(whole, 1, stamp)
+        if self._looked_at is None or (stamp - self._looked_at) * len(sights) >= PERIOD_NS:
             self._looked_at = stamp
-            self._turn += 1
-            return self._turn % count
-        return None
+            self._turn = (self._turn + 1) % len(sights)
+            look = sights[self._turn].look
+            for found in self._seen_past([_Measured(look, _measured(look, moving=False))], PATCH, sights):
+                self._catch(found, PATCH, stamp)
 
-    def _seen_past(self, look: Look, where: Bool, every: int, others: Sequence[_DeepSight]) -> list[Bool]:
-        """Which pixels, of every so manieth of `where` [H, W], measure what each of the others sees past."""
-        sparse = where[::every, ::every]
-        rows, columns = np.nonzero(sparse)
-        if not len(rows):
-            return [np.zeros_like(sparse)] * len(others)
-        points = points_at(look.view, rows * every, columns * every)
-        inside = self._grid.indices(points) >= 0
-        found = []
-        for other in others:
-            past = np.zeros_like(sparse)
-            past[rows, columns] = other.past(points).past & inside
-            found.append(past)
-        return found
+    def _seen_past(self, measured: Sequence[_Measured], every: int, by: Sequence[_DeepSight]) -> Iterator[_SeenPast]:
+        """Which pixels, of every so manieth, measure what each of `by` sees past; where there are any."""
+        sparse = [np.ascontiguousarray(one.where[::every, ::every]) for one in measured]
+        at = [np.flatnonzero(mask) for mask in sparse]
+        points = np.concatenate(
+            [
+                _points(one, *np.divmod(own, mask.shape[1]), every)
+                for one, own, mask in zip(measured, at, sparse, strict=True)
+            ]
+        )
+        inside = np.flatnonzero(self._grid.indices(points) >= 0)
+        points, ends = points[inside], np.cumsum([len(own) for own in at])
+        for other in by if len(points) else ():
+            past = np.zeros(ends[-1], np.bool_)
+            past[inside[other.past(points).which]] = True
+            for one, own, mask, of_one in zip(measured, at, sparse, np.split(past, ends[:-1]), strict=True):
+                if of_one.any():
+                    pixels = np.zeros_like(mask)
+                    pixels.ravel()[own[of_one]] = True
+                    yield _SeenPast(one, other, pixels)
 
-    def _catch(self, look: Look, past: Bool, every: int, other: _DeepSight, stamp: int) -> None:
-        """Remembers where another saw `past` what a look measures, by every so manieth of its pixels."""
-        rows, columns = np.nonzero(cv2.morphologyEx(past.astype(np.uint8), cv2.MORPH_OPEN, _PATCH))
+    def _catch(self, found: _SeenPast, every: int, stamp: int) -> None:
+        """Remembers where another saw past what a look measures, by every so manieth of its pixels."""
+        rows, columns = np.nonzero(cv2.morphologyEx(found.past.astype(np.uint8), cv2.MORPH_OPEN, _PATCH))
         if not len(rows):
             return
-        seen = other.past(points_at(look.view, rows * every, columns * every))
+        other = found.by
         image = np.zeros(other.look.moving.shape, np.uint8)
-        image[seen.rows, seen.columns] = 1
+        image.ravel()[other.past(_points(found.measured, rows, columns, every)).pixels] = 1
         camera = other.look.view.camera.name
         caught = self._caught.get(camera)
         if caught is None or caught.shape != image.shape:
@@ -116,6 +117,35 @@ class LookingPast:
             return None
         doubted: Bool = stamp - caught <= HELD_NS
         return doubted if doubted.any() else None
+
+
+class _Measured(NamedTuple):
+    """What a look measures."""
+
+    look: Look
+    where: Bool
+    """[H, W]."""
+
+
+class _SeenPast(NamedTuple):
+    """What one look measures and another sees past."""
+
+    measured: _Measured
+    by: _DeepSight
+    past: Bool
+    """[h, w] of every so manieth pixel of the former."""
+
+    def surroundings(self) -> _Measured:
+        """All pixels of patches of which one was looked at, every `PATCH`th, and is seen past."""
+        look, where = self.measured
+        near = np.zeros(where.shape, np.uint8)
+        near[::PATCH, ::PATCH] = self.past
+        return _Measured(look, where & (cv2.dilate(near, _ABOUT) > 0))
+
+
+def _points(measured: _Measured, rows: NDArray[np.int64], columns: NDArray[np.int64], every: int) -> Float32:
+    """Points [n, 3] of every so manieth pixel of a look."""
+    return points_at(measured.look.view, rows * every, columns * every)
 
 
 def _measured(look: Look, moving: bool) -> Bool:
@@ -151,21 +181,28 @@ class _DeepSight:
         far[hole] = 0
         return cv2.erode(far, self.around).astype(np.float32)
 
-    def past(self, points: Float32) -> _Seen:
-        """Which points [n, 3] it sees past."""
+    @cached_property
+    def _matrix(self) -> Float64:
+        """[3, 4] from the base to pixels times depth, and depth."""
         camera = self.look.view.camera
-        u, v, z = project(camera.K, camera.viewmat, points).T
-        inside = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        columns, rows = (np.where(inside, along, 0).astype(np.int64) for along in (u, v))
-        return _Seen(columns, rows, inside & (self.clear_until[rows, columns] > z * (1 + STEP_SHARE) + CLEAR_M))
+        return np.asarray(camera.K @ camera.viewmat[:3])
+
+    def past(self, points: Float32) -> _Past:
+        """Which points [n, 3] it sees past."""
+        camera, matrix = self.look.view.camera, self._matrix
+        across, down, z = matrix[:, :3] @ points.T + matrix[:, 3:]
+        inside = (across >= 0) & (across < camera.width * z) & (down >= 0) & (down < camera.height * z)
+        which = np.flatnonzero(inside & (z > 0))
+        z = z[which]
+        pixels = (down[which] / z).astype(np.int64) * camera.width + (across[which] / z).astype(np.int64)
+        deep = self.clear_until.ravel()[pixels] > z * (1 + STEP_SHARE) + CLEAR_M
+        return _Past(which[deep], pixels[deep])
 
 
-class _Seen(NamedTuple):
-    """Where a look has points."""
+class _Past(NamedTuple):
+    """Points that a look sees past."""
 
-    columns: NDArray[np.int64]
-    """[n]."""
-    rows: NDArray[np.int64]
-    """[n]."""
-    past: Bool
-    """[n] whether it sees past them."""
+    which: NDArray[np.int64]
+    """[m] of the points, in their order."""
+    pixels: NDArray[np.int64]
+    """[m] of its image, counted row by row."""
