@@ -125,6 +125,20 @@ def test_it_is_told_after_a_moment_and_taken_back_once_it_fits() -> None:
     assert not told[-1]
 
 
+def test_what_was_told_is_forgotten_once_nobody_sees_the_arm_any_more() -> None:
+    """As where somebody stands before every lens, or a camera is gone."""
+    for later in (moved(seen(0, hand=True), turned(180)), replace(seen(0), views=())):
+        sight = ArmSight(ARM)
+        for at in np.arange(0.0, 2.0, 0.1):
+            sight.heed(replace(moved(seen(0), shifted(0.25, 0, 0)), stamp=int(at * 1e9)))
+        assert sight.warnings
+        sight.heed(replace(later, stamp=int(2.2e9)))
+        assert sight.warnings
+        for at in np.arange(2.4, 6.0, 0.2):
+            sight.heed(replace(later, stamp=int(at * 1e9)))
+        assert sight.warnings == ()
+
+
 def test_without_an_arm_joints_or_depth_there_is_nothing_to_tell() -> None:
     wrong = moved(seen(0), turned(180))
     for sight, frames in (

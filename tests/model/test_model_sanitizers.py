@@ -15,8 +15,10 @@ from twin_node import native_build
 found = native_build.KernelSources.best_library
 given = Path(sys.argv[1])
 native_build.KernelSources.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
-import test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares, test_nodes, test_rendering
-import test_births, test_normal_equations, test_semi_global, test_steps, test_sweep, test_velocity_equations
+import test_arm_mask, test_births, test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares
+import test_nodes, test_normal_equations, test_rendering, test_semi_global, test_steps, test_sweep
+import test_velocity_equations
+test_arm_mask.test_compiled_and_plain_find_the_same()
 test_carried.test_the_compiled_cloud_is_the_plain_one()
 test_carried.test_compiled_cells_are_the_plain_ones()
 test_carried.test_what_creeps_is_told_by_the_compiled_kernel_as_by_the_plain_one()

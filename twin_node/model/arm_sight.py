@@ -39,7 +39,7 @@ class ArmSight:
         self._arm = arm
         self._looked: int | None = None
         self._past: dict[str, float] = {}
-        """Per camera that has told anything: share of places that it sees past, averaged over time."""
+        """Per camera that tells anything, or did lately: share of places that it sees past, averaged over time."""
         self._cause = ""
         """What would explain it, as far as that has been found."""
 
@@ -53,12 +53,12 @@ class ArmSight:
         self._looked = frames.stamp
         q = self._arm.ordered_positions(frames.joints)
         uptake, shares = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S), _shares(self._arm, q, frames.views)
-        for name, share in shares.items():
-            before = self._past.get(name, 0.0)
-            self._past[name] = before + uptake * (share - before)
+        names = dict.fromkeys((*self._past, *shares))
+        past = {name: (1 - uptake) * self._past.get(name, 0.0) + uptake * shares.get(name, 0.0) for name in names}
+        self._past = {name: share for name, share in past.items() if name in shares or share > FITS}
         if not self._wrong:
             self._cause = ""
-        elif not self._cause:
+        elif not self._cause and shares:
             self._cause = next(self._explanations(q, frames.views, len(shares)), "")
 
     @property
@@ -89,7 +89,7 @@ class ArmSight:
 
         def fits(arm: ArmModel, seen: Sequence[View]) -> bool:
             shares = _shares(arm, q, seen).values()
-            return len(shares) >= cameras and max(shares) < FITS
+            return len(shares) >= cameras and max(shares, default=1.0) < FITS
 
         for name in UR_NAMES if self._arm.name in UR_NAMES else ():
             if name != self._arm.name and fits(ur_model(name), views):

@@ -32,8 +32,8 @@ SETTLED = 1e-3
 """Share of corners that change sides in a round below which the outliers are found."""
 
 HOPE = 0.25
-"""Share of what a refined board must explain that one step towards it has to promise: of fifteen lenses and rigs a step
-promised 0.8 to 3 times what the bundle found, and once, where other corners fitted then, 0.26."""
+"""Share of what a refined board must explain that one step towards it has to promise: of fourteen lenses and rigs a
+step promised 0.74 times and more of what the bundle found, but once, where other corners fitted then, 0.26."""
 SCORE_DAMPING = 1e-6
 """Damping of that step: the board as a whole lies anywhere."""
 
