@@ -95,9 +95,10 @@ class MessageTypes:
         """This set and the types of `definitions` (name to `ros2msg` or IDL text), which win over equal names here.
 
         A definition that cannot be parsed, that uses types that are nowhere defined or itself, or that has a name twice
-        is left out: its type is then unknown unless it is in this set.
+        is left out: its type is then unknown unless it is in this set. Where nothing is added this set itself is
+        returned, with what it has compiled.
         """
-        store = _copy(self._store)
+        store = self._store
         for name, text in definitions.items():
             if name in self and text == self.definition(name):
                 continue
@@ -112,7 +113,7 @@ class MessageTypes:
             except (TypesysError, KeyError, IndexError, ValueError, SyntaxError, RecursionError):
                 continue
             store = tried
-        return MessageTypes(store, fallback=self)
+        return self if store is self._store else MessageTypes(store, fallback=self)
 
     def _require(self, name: str) -> None:
         if name not in self._store.types:
