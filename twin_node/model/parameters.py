@@ -81,7 +81,7 @@ class BirthParameters:
     """When Gaussians and nodes are born and die."""
 
     per_set: int = 200
-    """Gaussians born per set at most."""
+    """Gaussians born per set at most; more where sets are more than 1/15 s apart, by as much as they are."""
     moving_share: float = 0.0625
     """Share of the capacity that Gaussians which are not STATIC may take: one per six pixels where an eighth moves.
     More than twice as many are worth 0.1 to 0.3 dB of what moves in a recorded cell, 0.9 where a quarter of all pixels
@@ -121,7 +121,7 @@ class MapParameters:
     patience_s: float = 0.5
     """For how long a pixel must have been at rest before what steps have not made good is given new Gaussians."""
     most_born: int = 40
-    """Gaussians born per set at most."""
+    """Gaussians born per set at most; more where sets are more than 1/15 s apart, by as much as they are."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""
