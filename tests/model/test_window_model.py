@@ -9,9 +9,19 @@ import pytest
 import torch
 from model_scenes import BLOCK_SPEED, TICK_NS, block, frames, joined, rig, seen, sliding, table
 
-from twin_node.model import BirthParameters, ModelError, ModelParameters, SeedParameters, WindowModel
+from twin_node.model import (
+    BirthParameters,
+    ModelError,
+    ModelParameters,
+    SeedParameters,
+    TrackParameters,
+    WindowModel,
+    tracker,
+)
+from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.population import TURNOVER, USUAL_PERIOD_S
 from twin_node.model.quality import moving_pixels, psnr, squared_error
+from twin_node.model.stages import exhausted, unhurried
 from twin_node.scene import GaussianCloud, Tier, TwinState
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
@@ -196,8 +206,27 @@ def test_newborns_replace_more_of_what_moves_where_sets_are_far_apart() -> None:
         borne += [len(np.setdiff1d(cloud.ids[moving], known))] if before >= most else []
         known, before = np.union1d(known, cloud.ids), int(moving.sum())
     assert len(borne) > 3
-    assert min(borne) > max(int(TURNOVER * most), len(CAMERAS))
+    assert sum(borne) > len(borne) * max(int(TURNOVER * most), len(CAMERAS))
     assert max(borne) <= int(ticks * TICK_NS * 1e-9 / USUAL_PERIOD_S * TURNOVER * most)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "waits", "stretch"), [(1, False, 1.0), (4, False, 1.98), (10, False, 4.0), (10, True, 1.0)]
+)
+def test_sets_that_are_far_apart_take_more_steps_unless_others_wait(
+    ticks: int, waits: bool, stretch: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken, model = [], WindowModel(replace(QUICK, track=TrackParameters(steps=5)))
+
+    def counting(*arguments: object) -> Fitted:
+        taken.append(arguments[-2])
+        return fit_moving(*arguments)
+
+    monkeypatch.setattr(tracker, "fit_moving", counting)
+    for i in range(8):
+        model.update(frames(i * ticks, -0.1 + 0.02 * i, CAMERAS, depth=True))
+        model.refine(exhausted if waits else unhurried)
+    assert taken[-1] == int(5 * stretch)
 
 
 def is_moving(cloud: GaussianCloud) -> np.ndarray:

@@ -26,13 +26,18 @@ class Slack:
         """In another process nobody asks what was asked here."""
         return {**vars(self), "_proceed": unhurried}
 
+    @property
+    def is_at_ease(self) -> bool:
+        """Whether no set has waited of late: there is more time between two than they take."""
+        return self._at_ease >= AT_EASE
+
     def begin(self, proceed: Proceed) -> None:
         """A set is out; `proceed()` says whether none waits."""
         was_put_off = self.put_off > 0
         self._proceed = proceed
         self.put_off = 0 if proceed() else self.put_off + 1
         self._at_ease = 0 if self.put_off else self._at_ease + 1
-        self._gives_way = not was_put_off and self._at_ease >= AT_EASE
+        self._gives_way = not was_put_off and self.is_at_ease
 
     def lasts(self) -> bool:
         """Whether there was time and still is; once a set has come meanwhile, there is none for what is left."""

@@ -46,6 +46,10 @@ class StepBudget:
         self.hurried = 0
         """Sets that have had fewer steps."""
 
+    def plan(self, part: Part, steps: int) -> None:
+        """From now on a set that has time for all has so many steps of a part."""
+        self._steps[part] = steps
+
     def begin(self, left_s: LeftS) -> None:
         """A set begins whose state should be out in `left_s()`."""
         self._left_s, self._since_s, self._is_hurried = left_s, math.inf, False

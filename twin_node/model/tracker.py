@@ -22,7 +22,7 @@ from twin_node.model.observation import Observed, Observer
 from twin_node.model.occluders import occluders
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.placing import Placer
-from twin_node.model.population import Population
+from twin_node.model.population import USUAL_PERIOD_S, Population
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
@@ -38,6 +38,9 @@ LEAST_SLICES = 4
 """Slices of what can be let be that are done for a set where time stays short: a step of what stands, or drawing it."""
 BRAKE, PICK_UP = 0.1, 1.1
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
+
+MOST_STRETCHED = 4.0
+"""How many times `track.steps` a set has at most, where it comes so many `USUAL_PERIOD_S` after the set before."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,7 @@ class Tracker:
         self._motion.slide(frames.stamp)
         if self._links is not None:
             self._links.drive(frames.joints, dt_s)
+        self._step_budget.plan(Part.FIT, self._planned(dt_s))
         aligned = self._align(observed, dt_s)
         self._decisions += self._aligner.take_decisions()
         on_stage("align")
@@ -256,6 +260,12 @@ class Tracker:
         self._step_budget.done(Part.FIT, steps)
         self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
         return fitted
+
+    def _planned(self, dt_s: float) -> int:
+        """Steps of the fit, which grow with what has changed, where there is time for them: while sets wait, more would
+        only make them rarer."""
+        stretch = min(max(dt_s / USUAL_PERIOD_S, 1.0), MOST_STRETCHED) if self._slack.is_at_ease else 1.0
+        return int(self._parameters.track.steps * stretch)
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
         """STATIC rows that can stand before what moves."""
