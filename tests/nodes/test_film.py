@@ -14,6 +14,7 @@ from twin_logs import START, cloud_at, obstacles_at
 from twin_node.bag import LogWriter
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
+from twin_node.geometry import project
 from twin_node.messages import convert
 from twin_node.nodes.film import FilmError, write_film, write_picture
 from twin_node.nodes.film.film import Film
@@ -23,9 +24,9 @@ from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import arm_model
-from twin_node.scene import HORIZONS_NS, Grid, Occupancy, OccupancyLayer, Rig, RigCamera, Separation
+from twin_node.scene import HORIZONS_NS, Grid, Occupancy, OccupancyLayer, Rig, RigCamera, Separation, Tier
 
-pytest.importorskip("av")
+av = pytest.importorskip("av")
 
 GRID = Grid(np.zeros(3), 0.1, (2, 2, 2))
 LAYERS = tuple(OccupancyLayer(h, np.zeros(0, np.uint32), np.zeros(0, np.uint8)) for h in HORIZONS_NS)
@@ -92,6 +93,19 @@ def test_an_orbit_sees_gaussians_that_all_lie_at_one_place(tmp_path: Path, sigma
         camera = orbit_camera(playback.at(START), 64, 36, 0.0)
     shown = render_cloud(point, camera)
     assert shown[18, 32].max() > 0.3 and shown[0, 0].max() < 0.1
+
+
+def test_an_orbit_looks_at_a_model_in_which_nothing_stands(tmp_path: Path) -> None:
+    """A trained model's Gaussians may all move: those of a scene far from our cell were not in the picture."""
+    cloud = cloud_at(0, True)
+    far = replace(cloud, means=cloud.means + np.float32(30), tiers=np.full_like(cloud.tiers, Tier.DEFORMABLE))
+    with LogWriter(tmp_path / "a.mcap") as log:
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(far, START), START)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        camera = orbit_camera(playback.at(START), 64, 36, 0.0)
+    inside = project(camera.K, camera.viewmat, far.means.astype(np.float64))[..., :2]
+    assert ((inside > 0) & (inside < (64, 36))).all(axis=1).mean() > 0.9
+    assert render_cloud(far, camera).max() > 0.1
 
 
 @pytest.mark.parametrize(
@@ -246,6 +260,27 @@ def test_an_image_older_than_the_twin_can_go_back_is_compared_with_nothing(tmp_p
         drawn = [film.beside(played.at(START + ms * 1_000_000)).reshape(136, 4, 160, 3)[16:, 2] for ms in (100, 1000)]
     assert drawn[0].max() > 0
     assert drawn[1][:24].max() > 200 and not drawn[1][24:].any(), "words alone"
+
+
+BLUE_AND_RED = {1: (0.0722, 0.2126), 5: (0.114, 0.299), 6: (0.114, 0.299)}
+"""Shares of blue and red in a film's brightness, by what it says of its matrix (ITU-T H.273)."""
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (320, 180)])
+def test_a_film_has_the_colours_of_its_pictures(tmp_path: Path, size: tuple[int, int]) -> None:
+    """One that does not say its matrix is shown by BT.709 where it is large, by BT.601 where it is small."""
+    colour = np.array([52, 168, 83])
+    write_film([np.full((size[1], size[0], 3), colour, np.uint8)], 30, tmp_path / "a.mp4")
+    with av.open(str(tmp_path / "a.mp4")) as film:
+        frame = next(film.decode(video=0))
+        said = int(frame.colorspace)
+        brightness, *differences = (np.frombuffer(plane, np.uint8)[0] for plane in frame.planes)
+    by_size = 1 if size[1] >= 720 else 6
+    blue, red = BLUE_AND_RED[by_size if said == 2 else said]
+    bright = (brightness - 16.0) / 219
+    b, r = (bright + 2 * (1 - own) * (d - 128.0) / 224 for own, d in zip((blue, red), differences, strict=True))
+    g = (bright - blue * b - red * r) / (1 - blue - red)
+    assert np.abs(255 * np.array([r, g, b]) - colour).max() < 4
 
 
 def camera_of(name: str, size: tuple[int, int]) -> RigCamera:

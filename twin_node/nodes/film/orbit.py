@@ -36,17 +36,21 @@ def orbit_camera(snapshot: Snapshot, width: int, height: int, seconds: float) ->
 
 
 def _cell(snapshot: Snapshot) -> tuple[Float64, float]:
-    """Middle [3] and reach (m) of the space that is watched; of the standing Gaussians where no grid says it."""
+    """Middle [3] and reach (m) of the space that is watched; of the Gaussians where no grid says it.
+
+    Of those that stand, or of all where none does: all of a trained model may move.
+    """
     if snapshot.occupancy is not None:
         grid = snapshot.occupancy.grid
         size = np.array(grid.dims) * grid.voxel_size
         return grid.origin + size / 2, float(np.linalg.norm(size) / 2)
     cloud = snapshot.cloud
-    standing = None if cloud is None else cloud.only(cloud.tiers == Tier.STATIC)
-    if standing is None or not len(standing.means):
+    if cloud is None or not len(cloud.means):
         return np.array([0.5, 0.0, 0.3]), 1.0
-    lower, upper = np.percentile(standing.means.astype(np.float64), [20, 80], axis=0)
-    own = SIGMAS * float(np.median(standing.scales.max(axis=1)))
+    stands = cloud.tiers == Tier.STATIC
+    seen = cloud.only(stands) if stands.any() else cloud
+    lower, upper = np.percentile(seen.means.astype(np.float64), [20, 80], axis=0)
+    own = SIGMAS * float(np.median(seen.scales.max(axis=1)))
     return (lower + upper) / 2, max(float(np.linalg.norm(upper - lower) / 2), own, LEAST_REACH_M)
 
 
