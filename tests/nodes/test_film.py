@@ -182,6 +182,16 @@ def test_pictures_say_what_they_are_and_of_which_camera(tmp_path: Path, monkeypa
         assert [words for words, _ in said] == ["left", "right"]
 
 
+def test_a_picture_says_where_nothing_was_foreseen_for_lack_of_a_forecast(tmp_path: Path) -> None:
+    """A second after the last one, or of an imported model, it looked like one that foresees nobody."""
+    log = write_images(tmp_path / "a.mcap", {"left": (160, 120)}, again={"left": 1})
+    with Playback([log], 160) as played:
+        film = Film(played, "forecast", 160, arm_model("ur5e"))
+        foreseen, silent = (film.forecast(played.at(START + after * 10**9))[16:] for after in (0, 1))
+    assert (foreseen == 128).all()
+    assert silent[:40].max() > 200 and (silent[40:] == 64).all()
+
+
 def test_a_camera_without_images_of_its_own_shape_has_its_place(tmp_path: Path) -> None:
     """Three cameras, of which one has narrower images: side by side, each as high as its images are."""
     log = write_images(tmp_path / "images.mcap", {"left": (64, 48), "right": (64, 24)})

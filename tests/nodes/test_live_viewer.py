@@ -121,6 +121,8 @@ def test_the_newest_of_every_topic_is_shown_and_followed(graph: Graph) -> None:
     graph.send(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(cloud_at(9, False), stamp), stamp)
     moved = cloud_at(9, False).means
     graph.until(lambda: np.allclose(graph.handle("/gaussians/moving").centers / 10, moved, atol=1e-5))
+    past = {topic: graph.snapshots[-1].earlier(topic, 2 * 10**9) for topic in (GAUSSIANS, GAUSSIANS_MOVING)}
+    assert [[said.stamp for said in told] for told in past.values()] == [[START], [stamp]], "for what is picked"
 
 
 def test_a_graph_tells_of_its_cameras(graph: Graph, cell_log: Callable[..., Path]) -> None:

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from twin_logs import PERIOD, START, cloud_at, obstacles_at
 
+from twin_node.bag import LogWriter
 from twin_node.bench.visitors import free_port
 from twin_node.messages import convert
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.snapshot import Snapshot
-from twin_node.nodes.topics import OBSTACLES
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.nodes.viewer.live import Heard
 from twin_node.nodes.viewer.picked import PickedThing
@@ -27,7 +28,7 @@ from twin_node.nodes.viewer.solids import capsule_mesh
 from twin_node.nodes.viewer.splats import covariances_of
 from twin_node.robot import ur_model
 from twin_node.runtime.wire import encoded
-from twin_node.scene import ObstacleKind
+from twin_node.scene import ObstacleKind, Tier
 
 pytest.importorskip("viser")
 
@@ -97,6 +98,35 @@ def test_what_is_picked_has_a_history_in_the_log(twin_log: Path, picked: Pick, n
         assert len(thing.trail) == 10 and np.allclose(np.diff(thing.trail[:, 0]), 0.01, atol=1e-6)
         assert "moved 10.0 cm" in thing.describe(playback.at(START + 10 * PERIOD))
         assert "moved 2.0 cm" in thing.describe(playback.at(START + 2 * PERIOD))
+
+
+def test_a_gaussian_is_known_since_it_stood(tmp_path: Path) -> None:
+    """Gaussian 45 stands until 0.7 s, which whole clouds alone tell; 46 is born then, and never stood."""
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for k in range(12):
+            stamp, whole = START + k * PERIOD, cloud_at(k, True)
+            if k % 5 == 0:
+                tiers = np.where((whole.ids == 45) & (k < 7), Tier.STATIC, whole.tiers).astype(np.uint8)
+                said = replace(whole, tiers=tiers).only((whole.ids != 46) | (k >= 7))
+                log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(said, stamp), stamp)
+            moving = cloud_at(k, False)
+            moving = moving.only(~np.isin(moving.ids, (45, 46)) | (k >= 7))
+            log.write(GAUSSIANS_MOVING, convert.gaussians_to_pointcloud2(moving, stamp), stamp)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        now = playback.at(START + 11 * PERIOD)
+        assert "known for 1.1 s or longer; moved 11.0 cm" in PickedThing(Pick(45, None)).describe(now)
+        assert "known for 0.4 s; moved 4.0 cm" in PickedThing(Pick(46, None)).describe(now)
+
+
+def test_a_gaussian_of_a_log_of_whole_clouds_has_a_history(tmp_path: Path) -> None:
+    """Of an imported model there are no others."""
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for k in range(10):
+            stamp = START + k * PERIOD
+            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(k, True), stamp), stamp)
+    with Playback([tmp_path / "a.mcap"]) as playback:
+        told = PickedThing(Pick(45, None)).describe(playback.at(START + 9 * PERIOD))
+    assert "known for 0.9 s or longer; moved" in told
 
 
 def test_what_is_gone_is_no_more_and_what_stands_has_no_history(twin_log: Path) -> None:

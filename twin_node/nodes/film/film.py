@@ -105,8 +105,13 @@ class Film:
         return np.hstack([_titled(title, picture) for title, picture in titled.items()])
 
     def _foreseen(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
-        """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined."""
+        """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined.
+
+        It says so where no forecast holds: else it would look as if nobody were foreseen to move.
+        """
         picture = _blank(camera) if view is None else _image(view, snapshot)
+        if snapshot.foreseen is None:
+            picture = _noted(np.asarray(picture // 2), "no forecast", row=1)
         foreseen, moving = moving_mask(snapshot, camera, -1), moving_mask(snapshot, camera, 0)
         arm = arm_mask(snapshot, camera, self._arm)
         if foreseen is not None:
@@ -156,9 +161,9 @@ def _image(view: View, snapshot: Snapshot) -> UInt8:
     return _noted(np.asarray(view.rgb // 2), f"no image for {silent_s:.0f} s")
 
 
-def _noted(picture: UInt8, words: str) -> UInt8:
-    """A dark picture, and why it is."""
-    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, FONT, (255,) * 3, 1, cv2.LINE_AA)
+def _noted(picture: UInt8, words: str, row: int = 0) -> UInt8:
+    """A dark picture, and why it is, in one of its first rows."""
+    cv2.putText(picture, words, (MARGIN_PX, 16 * (row + 1)), cv2.FONT_HERSHEY_SIMPLEX, FONT, (255,) * 3, 1, cv2.LINE_AA)
     return picture
 
 

@@ -12,7 +12,15 @@ from functools import cached_property, partial
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.snapshot import Said, Snapshot
-from twin_node.nodes.topics import GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY, CameraTopics
+from twin_node.nodes.topics import (
+    GAUSSIANS,
+    GAUSSIANS_MOVING,
+    JOINT_STATES,
+    OBSTACLES,
+    SEPARATION,
+    TRAJECTORY,
+    CameraTopics,
+)
 from twin_node.nodes.viewer.page import CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
@@ -31,7 +39,10 @@ STILL_S = 1.0
 """Longest time between two pictures while somebody watches, s: what is out of force, or silent, is seen to be so."""
 LOOK_S = 0.5
 """How often cameras are looked for that are not there yet, s."""
-REMEMBERED_NS = {OBSTACLES: HISTORY_NS, GAUSSIANS_MOVING: HISTORY_NS, JOINT_STATES: 1_000_000_000}
+REMEMBERED_NS = {
+    **dict.fromkeys((OBSTACLES, GAUSSIANS, GAUSSIANS_MOVING), HISTORY_NS),
+    JOINT_STATES: 1_000_000_000,
+}
 """Topics of which more than the newest is kept, and for how long: for the history of what is picked, and for the arm's
 joints where a gripper's come in between."""
 

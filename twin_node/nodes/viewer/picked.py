@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.messages import convert
 from twin_node.nodes.snapshot import Said, Snapshot, in_force
-from twin_node.nodes.topics import GAUSSIANS_MOVING, OBSTACLES
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES
 from twin_node.nodes.viewer.picking import Pick
 from twin_node.scene import Float64, GaussianCloud, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Tier
 
@@ -59,7 +59,7 @@ class PickedThing:
             self._places.clear()
             return f"**Obstacle {self._picked.id}** is no more."
         self._picked = _picked_row(o, row)
-        self._come_to(Place(snapshot.stamp, o.positions[row]), snapshot, OBSTACLES)
+        self._come_to(Place(snapshot.stamp, o.positions[row]), snapshot, (OBSTACLES,))
         size = " x ".join(f"{100 * side:.0f}" for side in o.sizes[row])
         shape = ObstacleShape(int(o.shapes[row])).name.lower()
         return "\n".join(
@@ -89,18 +89,24 @@ class PickedThing:
         if tier is Tier.STATIC:
             self._places = deque([Place(snapshot.stamp, place)])
             return "\n".join([*lines, "- does not move: it has no motion parameters"])
-        self._come_to(Place(snapshot.stamp, place), snapshot, GAUSSIANS_MOVING)
+        self._come_to(Place(snapshot.stamp, place), snapshot, (GAUSSIANS_MOVING, GAUSSIANS))
         speed = float(np.linalg.norm(cloud.velocities[row]))
         return "\n".join([*lines, f"- speed {speed:.2f} m/s", *_bound_at(snapshot, place), *self._told()])
 
     def _is_sought(self, stamp: int) -> bool:
         return not self._places or not 0 <= stamp - self._places[-1].stamp <= GAP_NS
 
-    def _come_to(self, place: Place, snapshot: Snapshot, topic: str) -> None:
-        """Remembers where the thing is now; after a jump in time, reads where it was from what was said before."""
+    def _come_to(self, place: Place, snapshot: Snapshot, topics: Sequence[str]) -> None:
+        """Remembers where the thing is now; after a jump in time, reads where it was from what was said before.
+
+        On one of `topics` after the other: a Gaussian that moves may have stood before, which whole clouds alone tell.
+        """
         if self._is_sought(place.stamp):
             self._places = deque([place])
-            self._read_history(snapshot.earlier(topic, HISTORY_NS))
+            before = [snapshot.earlier(topic, HISTORY_NS) for topic in topics]
+            self._is_older = any(before)
+            for said in before:
+                self._read_history(said)
         elif place.stamp - self._places[-1].stamp >= BETWEEN_NS:
             self._places.append(place)
         while place.stamp - self._places[0].stamp > HISTORY_NS:
@@ -109,7 +115,6 @@ class PickedThing:
 
     def _read_history(self, said: Sequence[Said]) -> None:
         """Follows the thing back through messages, oldest first, until it is not there."""
-        self._is_older = bool(said)
         picked = self._picked
         for entry in reversed(said):
             first = self._places[0]
@@ -124,8 +129,8 @@ class PickedThing:
                 cloud = convert.gaussians_from_pointcloud2(entry.message)
                 row = _row_of_gaussian(cloud, picked)
                 positions = cloud.means.astype(np.float64)
+            self._is_older = row is not None
             if row is None:
-                self._is_older = False
                 return
             self._places.appendleft(Place(entry.stamp, positions[row]))
 
