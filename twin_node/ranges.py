@@ -40,6 +40,11 @@ WIDTHS_PX = Range(16, 16_384)
 """Of working images, px: below nothing is seen, and no camera has more."""
 
 
+def within_s(length_s: float) -> str:
+    """The times within a length, s, in whole ms: none that lies beyond its end, however that would be rounded."""
+    return f"0 to {math.floor(round(length_s * 1e9) / 1e6) / 1e3:.3f} s"
+
+
 def check_ranges(parameters: object, error: type[TwinError], where: str, **ranges: Range) -> None:
     """Raises `error`, naming `where` and the field, for the first field of `parameters` outside of its range."""
     for name, allowed in ranges.items():

@@ -8,6 +8,7 @@ from typing import Any
 
 from twin_node.cli.arguments import check_output, finite, not_negative
 from twin_node.errors import TwinError
+from twin_node.ranges import within_s
 
 
 def add_edit(commands: Any) -> None:
@@ -42,7 +43,7 @@ def _edit(options: argparse.Namespace) -> None:
     span = checkpoint.header.span
     length = (span.last - span.first) / 1e9
     if options.at > length:
-        raise TwinError(f"--at {options.at:g}: expected a time inside the model's 0 to {length:.3f} s")
+        raise TwinError(f"--at {options.at:g}: expected a time inside the model's {within_s(length)}")
     edit = Edit(
         tuple(options.box[:3]),
         tuple(options.box[3:]),

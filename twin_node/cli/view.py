@@ -15,6 +15,7 @@ from twin_node.cli.arguments import add_arm, add_remap, arm_of, not_negative, po
 from twin_node.cli.ending import SIGNALS, ended_by
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
+from twin_node.ranges import within_s
 
 if TYPE_CHECKING:
     from twin_node.nodes.arm_parameters import ArmParameters
@@ -87,7 +88,7 @@ def view_log(
         with open_playback(logs, images_px, rig, remaps=remaps) as playback:
             length_s = (playback.end_ns - playback.start_ns) / 1e9
             if at_s > length_s:
-                raise TwinError(f"--at {at_s:g}: expected a time inside the log's 0 to {length_s:.3f} s")
+                raise TwinError(f"--at {at_s:g}: expected a time inside the log's {within_s(length_s)}")
             page = CellPage(model, playback.cameras, host, port)
             viewer = LogViewer(playback, page)
             viewer.seek(at_s)

@@ -18,6 +18,7 @@ from twin_node.nodes.export.moments import ExportError, Moments, Source
 from twin_node.nodes.export.tables import write_tables
 from twin_node.nodes.export.usd import write_stage
 from twin_node.nodes.topics import GAUSSIANS, OBSTACLES
+from twin_node.ranges import within_s
 from twin_node.robot import ArmModel
 from twin_node.unfinished import partial_of, refuse_taken, unwritable
 
@@ -46,7 +47,7 @@ class ExportSpan:
             stop = min(stop, length)
         if not 0 <= self.start_s <= stop <= length + 1e-9:
             raise ExportError(
-                f"times {self.start_s:g} to {stop:g} s: expected a span inside the log's 0 to {length:.3f} s; correct "
+                f"times {self.start_s:g} to {stop:g} s: expected a span inside the log's {within_s(length)}; correct "
                 "--at, or --start and --stop"
             )
         count = int(np.floor((stop - self.start_s) * self.rate_hz + 1e-9)) + 1
