@@ -185,6 +185,25 @@ def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, pag
     assert shown[1:] == sorted(shown[1:]) and shown[-1] == 14 * PERIOD
 
 
+def test_steps_count_that_are_asked_for_while_one_picture_is_drawn(twin_log: Path, page: CellPage) -> None:
+    """A large cloud takes longer than a visitor's next click."""
+    shown: list[int] = []
+    with Playback([twin_log]) as playback:
+        viewer = LogViewer(playback, page)
+
+        def watch(snapshot: object) -> None:
+            shown.append(snapshot.stamp - START)
+            if len(shown) == 1:
+                for _ in range(3):
+                    viewer._step(0.25)
+            else:
+                viewer.stop()
+
+        page.show = watch
+        viewer.run()
+    assert shown == [0, 750_000_000]
+
+
 def test_what_a_visitor_asks_for_while_it_is_asked_is_not_forgotten(page: CellPage) -> None:
     """The event is asked, and then forgotten; a click between the two is one that nobody has seen."""
 

@@ -95,7 +95,8 @@ class LogViewer:
 
     def _step(self, seconds: float) -> None:
         self.play(False)
-        self.seek(self._at_s + seconds)
+        sought = self._sought  # by a step before, which is not drawn yet
+        self.seek((self._at_s if sought is None else sought) + seconds)
 
     def _on_slider(self, event: Any) -> None:
         if event.client_id is not None:  # moved by a visitor, not by `_advance`
