@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin_node.bag import LogWriter, write_rig
+from twin_node.bag import LogWriter, open_log, write_rig
 from twin_node.geometry import pose
-from twin_node.messages.convert import camera_info, compressed_image
+from twin_node.messages.convert import camera_info, compressed_image, joint_sample_to_message
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.scene import Rig, RigCamera
+from twin_node.scene import JointSample, Rig, RigCamera
 
 START, PERIOD = 1_700_000_000_000_000_000, 33_333_333
 OFFSET_NS, RATE_PPM = 40_000_000, 80.0
@@ -63,3 +63,25 @@ def test_clocks_of_videos_that_count_from_their_start_are_not_put_on_a_log(log: 
         assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, 0]
     with LogSession(log, Rig((steady, drifting))) as session:
         assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, OFFSET_NS]
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "is_told"), [((0, 0), True), ((102, 102), True), ((100, 100), False), ((0, 100), False)]
+)
+def test_joints_that_are_stamped_by_another_clock_than_images_are_told(
+    log: Path, tmp_path: Path, stamps_s: tuple[int, int], is_told: bool
+) -> None:
+    """A driver that leaves its stamps 0: the arm in the images was a thing that moves, and nobody said why.
+
+    `stamps_s`: of a message each, seconds after the start; one whose stamp is right is enough, as of an arm's gripper.
+    """
+    with open_log(log) as read, LogWriter(tmp_path / "joints.mcap") as written:
+        for one in read.messages():
+            written.write_raw(one.topic, one.msgtype, one.data, one.stamp)
+        for stamp_s in stamps_s:
+            stamp = START + stamp_s * 1_000_000_000 if stamp_s else 0
+            sample = JointSample(stamp, ("elbow",), np.zeros(1), np.zeros(1))
+            written.write("/joint_states", joint_sample_to_message(sample), START + 100_000_000_000)
+    with LogSession(tmp_path / "joints.mcap") as session:
+        assert len(session.set_doubts) == is_told
+        assert all("joints on /joint_states are stamped" in line for line in session.set_doubts)

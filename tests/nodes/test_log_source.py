@@ -384,3 +384,14 @@ def test_a_camera_whose_images_are_said_to_be_of_a_links_frame_is_refused(
         return
     with pytest.raises(GraphError, match=f"expected an optical frame .*, found '{frame}', whose z axis points up"):
         LogSession(path)
+
+
+def test_a_camera_that_a_log_places_in_millimetres_is_told(tmp_path: Path) -> None:
+    """Rig files were checked for it, logs were not: `check` called them sound, and a replay blamed a rig file."""
+    T = np.eye(4)
+    T[:3, 3] = [1350.0, -1450.0, 1200.0]
+    path = log_with_frames(tmp_path / "log.mcap", "optical", {"/tf_static": [("base_link", "optical", T)]})
+    with pytest.raises(GraphError, match=r"'front'.*expected optical within 100 m of base_link, found it 2316 m away"):
+        LogSession(path)
+    with open_log(path) as read:
+        assert any("divide it by 1000" in line for line in check_log(read).faults)

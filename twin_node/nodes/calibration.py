@@ -15,11 +15,12 @@ from twin_node.bag import LogReader
 from twin_node.bag.latched import is_of_several
 from twin_node.bag.rig import RigRecord, read_rig_record
 from twin_node.messages import MessageError
-from twin_node.messages.convert import TransformTree, of_pair, rig_camera
+from twin_node.messages.convert import BASE_FRAME, TransformTree, of_pair, rig_camera
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
 from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
+from twin_node.rig.rig_checks import MAX_DISTANCE_M
 from twin_node.scene import Float64, Rig, RigCamera
 
 ANOTHER_LENS = 0.05
@@ -322,6 +323,12 @@ def _pose(log: LogReader, camera: CameraTopics, info: Any, tree: TransformTree, 
             f"{log.path}: camera '{camera.name}': expected an optical frame (z forward, x right, y down), found "
             f"{frame!r}, whose z axis points up as a link's does; let the camera's driver name the optical one in "
             "header.frame_id (and /tf_static place it), or give --rig RIG.yaml"
+        )
+    distance_m = float(np.linalg.norm(T_base_cam[:3, 3]))
+    if distance_m > MAX_DISTANCE_M:
+        raise _NotCalibratedError(
+            f"expected {frame} within {MAX_DISTANCE_M:g} m of {BASE_FRAME}, found it {distance_m:.0f} m away; if "
+            f"{TF_STATIC} has it in millimetres divide it by 1000, or give --rig RIG.yaml"
         )
     return T_base_cam
 

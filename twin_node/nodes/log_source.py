@@ -11,7 +11,14 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import base_doubts, clock_doubts, joint_doubts, joints_told, rig_doubts
+from twin_node.nodes.log_doubts import (
+    base_doubts,
+    clock_doubts,
+    joint_clock_doubts,
+    joint_doubts,
+    joints_told,
+    rig_doubts,
+)
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import renamed
 from twin_node.nodes.set_contents import SetContents
@@ -54,11 +61,12 @@ class LogSession:
             """Those of the rig."""
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
             of_clock = clock_doubts(self.log, looked_through[0], self.rig)
+            of_joints = (*joint_doubts(names), *joint_clock_doubts(self.log, names, looked_through[0], self.rig))
             of_base = base_doubts(self.log, names) if rig_file is None else ()
             self.camera_doubts = (*cameras.unused, *found.left_out, *rig_doubts(looked_through, self.rig))
             """What of the cameras may not be meant as it is taken, a line each."""
             unread = (f"not read: {line}" for line in self.log.left_out)
-            self.set_doubts = (*unread, *self.camera_doubts, *joint_doubts(names), *of_base)
+            self.set_doubts = (*unread, *self.camera_doubts, *of_joints, *of_base)
             """The same of all that sets are made of."""
             self.doubts: tuple[str, ...] = (*self.set_doubts, *of_clock)
             """The same for an arm that is to go by it."""
