@@ -67,6 +67,7 @@ def test_whole_nanoseconds_lose_nothing(tmp_path_factory: pytest.TempPathFactory
         ("a.csv", "frame,t\n0\n", "t", r"expected a number as a stamp, found None"),
         ("a.txt", "one\n", None, r"expected a number as a stamp, found 'one'"),
         ("a.txt", f"{EPOCH_NS}\n", None, r"expected stamps in s, found 176.*give their unit"),
+        ("a.txt", "10800000000\n", None, r"expected stamps in s, found 10800000000; give their unit"),  # 3 h in us
         ("a.txt", f"{'9' * 400}\n", None, r"expected stamps in s, found a number of 400 digits"),
         ("a.json", "[" * 100_000, None, r"found no readable file \(too many levels, one within the other\)"),
     ],

@@ -22,8 +22,8 @@ MOST_DIGITS = 30
 ENCODING = "utf-8-sig"
 """Spreadsheets put a mark of their encoding before the first column's name."""
 
-LATEST_S = 1e11
-"""No stamp in seconds is later than this (year 5138): larger numbers are in a smaller unit."""
+LATEST_S = 9e9
+"""No stamp in seconds is later than this (year 2255; int64 ns hold no more): larger numbers are in a smaller unit."""
 
 SHARED_CAMERA, SHARED_STAMP = "cam_id", "frame_time"
 """Columns of a file that lists the frames of all cameras."""
