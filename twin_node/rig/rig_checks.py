@@ -12,6 +12,9 @@ from twin_node.rig.workspace import axes_focus, axes_spread
 DISTORTION_LENGTHS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """ROS distortion models and how many coefficients each takes."""
 
+MOST_PX = 32_767
+"""What OpenCV's maps can address."""
+
 MOST_SKEW_PX = 0.5
 """Skew that moves no pixel by more than half of one is left out in silence."""
 
@@ -31,6 +34,14 @@ ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity: rounding to four digits passes, a scaled rotation does not."""
 
 Float = NDArray[np.float64]
+
+
+def check_size(where: str, size: Float) -> None:
+    """Raises `RigError` where `size` [2] (width, height) is none of images."""
+    if not ((size >= 1) & (size <= MOST_PX) & (size % 1 == 0)).all():
+        raise RigError(
+            f"{where}.size: expected [width, height] in whole pixels, up to {MOST_PX}, found {size.tolist()}"
+        )
 
 
 def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:

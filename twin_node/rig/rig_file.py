@@ -11,7 +11,7 @@ from twin_node.geometry import pose, rotation_from_quat
 from twin_node.resources import find
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence, evidence_entry, read_evidence
-from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose
+from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose, check_size
 from twin_node.rig.stamps import LATEST_S, UNITS_NS, StampsFile
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import NAME_WANTED, Float64, Rig, RigCamera, as_camera_name, is_camera_name
@@ -33,9 +33,6 @@ CAMERA_FIELDS = (
     "evidence",
 )
 """What a camera of a rig file may have."""
-
-MOST_PX = 32_767
-"""What OpenCV's maps can address."""
 
 MOST_RATE_PPM = 10_000.0
 """Crystals are good to 100 ppm and driver clocks to some 1000; what is beyond 1 % is a mistake of units."""
@@ -157,10 +154,7 @@ def _camera(fields: Fields) -> RigCamera:
         )
     fields = fields.named(f"{fields.where} ({name})")
     size = fields.array("size", (2,))
-    if (size < 1).any() or (size > MOST_PX).any() or (size % 1 != 0).any():
-        raise RigError(
-            f"{fields.where}.size: expected [width, height] in whole pixels, up to {MOST_PX}, found {size.tolist()}"
-        )
+    check_size(fields.where, size)
     width, height = (int(value) for value in size)
     K, T = fields.array("K", (3, 3)), _pose(fields)
     check_intrinsics(fields.where, K, (width, height))

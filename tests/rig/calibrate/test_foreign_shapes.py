@@ -64,3 +64,70 @@ def test_images_numbered_alike_in_a_folder_per_camera_are_named_after_both(tmp_p
     poses = [f"{i} 1 0 0 0 {i} 0 0 1 {name}/0001.png\n\n" for i, name in enumerate(("left", "right"))]
     (tmp_path / "images.txt").write_text("".join(poses))
     assert [camera.name for camera in IMPORTERS["colmap"](tmp_path).rig.cameras] == ["left_0001", "right_0001"]
+
+
+def stereo_file(path: Path, **replaced: str) -> Path:
+    """A pair as OpenCV's FileStorage has it, its size written as `cv::Size`, its coefficients as a vector."""
+
+    def matrix(values: object) -> str:
+        rows = np.atleast_2d(np.array(values, np.float64))
+        shape = f"rows: {rows.shape[0]}, cols: {rows.shape[1]}"
+        return f"!!opencv-matrix\n   {{ {shape}, dt: d, data: {rows.ravel().tolist()} }}"
+
+    D, R, T = "[0.1, 0., 0., 0., 0.]", matrix(np.eye(3)), matrix([[-0.1], [0], [0]])
+    fields = {"size": "[ 640, 480 ]", "M1": matrix(K), "D1": D, "M2": matrix(K), "D2": D, "R": R, "T": T, **replaced}
+    path.write_text("%YAML:1.0\n---\n" + "".join(f"{name}: {value}\n" for name, value in fields.items()))
+    return path
+
+
+def test_sizes_and_vectors_are_read_as_opencv_writes_them(tmp_path: Path) -> None:
+    """They are sequences and no matrices, and ended in a traceback."""
+    left, right = IMPORTERS["opencv"](stereo_file(tmp_path / "stereo.yml")).rig.cameras
+    assert (left.width, left.height, left.D.tolist()) == (640, 480, [0.1, 0, 0, 0, 0])
+    assert right.T_base_cam[:3, 3].tolist() == [0.1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("replaced", "told"),
+    [
+        ({"M1": "5"}, r"stereo\.yml: expected 3x3 finite numbers as 'M1', found one number"),
+        ({"M1": "[1, 2, 3]"}, r"stereo\.yml: expected 3x3 finite numbers as 'M1', found 3"),
+        ({"size": "[wide, high]"}, r"stereo\.yml: expected 2 finite numbers as 'size', found something else"),
+        ({"size": "[-5, 480]"}, r"left\.size: expected \[width, height\] in whole pixels, up to 32767, found \[-5"),
+        ({"D2": "[.Nan, 0., 0., 0.]"}, r"stereo\.yml: expected finite numbers as 'D2', found \[nan, "),
+    ],
+)
+def test_what_no_calibration_of_opencv_holds_is_named(tmp_path: Path, replaced: dict[str, str], told: str) -> None:
+    with pytest.raises(RigError, match=told):
+        IMPORTERS["opencv"](stereo_file(tmp_path / "stereo.yml", **replaced))
+
+
+@pytest.mark.parametrize(
+    ("cameras", "images", "told"),
+    [
+        ("1 PINHOLE nan 480 5 5 320 240", "1 1 0 0 0 0 0 1 1 a.png\n", "camera 1: expected finite numbers"),
+        ("1 PINHOLE 640 480 500 500 320 240", "1 nan 0 0 0 0 0 1 1 a.png\n", r"a\.png: expected finite numbers"),
+        ("1 PINHOLE 640 480 500 500 320 240", "1 0 0 0 0 0 0 1 1 a.png\n", r"a\.png: expected a quaternion, found"),
+        (
+            "1 PINHOLE 640 480 500 500 320 240",
+            "1 1 0 0 0 0 0 1 1 a.png\n2 1 0 0 0 1 0 1 1 b.png\n",
+            r"a\.png: expected a line of points below it, empty where there are none, found '2 1 0 0 0 1 0 1 1 b\.png'",
+        ),
+    ],
+)
+def test_what_no_colmap_model_holds_is_named(tmp_path: Path, cameras: str, images: str, told: str) -> None:
+    """Written as NaN into the rig, or ended in a traceback; without the lines of points every second image was lost."""
+    (tmp_path / "cameras.txt").write_text(f"{cameras}\n")
+    (tmp_path / "images.txt").write_text(images)
+    with pytest.raises(RigError, match=told):
+        IMPORTERS["colmap"](tmp_path)
+
+
+def test_numbers_of_qualisys_that_are_none_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.qca.txt"
+    path.write_text(
+        '<calibration><cameras><camera serial="1"><transform/><intrinsic/><fov_video left="0" top="0" right="nan" '
+        'bottom="479"/></camera></cameras></calibration>'
+    )
+    with pytest.raises(RigError, match=r"expected a number in fov_video\.right, found 'nan'"):
+        IMPORTERS["qualisys"](path)

@@ -85,5 +85,7 @@ def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> R
     D[list(model.coefficients)] = rest[2:]
     # COLMAP's top-left pixel has its centre at (0.5, 0.5).
     K = pinhole(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
+    if not np.linalg.norm(image.pose[:4]) > 0:
+        raise RigError(f"{image.where}: expected a quaternion, found {image.pose[:4].tolist()}; export the model again")
     T = from_world_to_camera(rotation_from_quat(image.pose[:4]), image.pose[4:] * unit)
     return foreign_camera(image.where, name, lens.size, K, T, model.distortion, D)

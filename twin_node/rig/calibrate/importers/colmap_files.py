@@ -30,6 +30,8 @@ MODEL_PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
 """How many parameters each has: needed to find the next camera in a binary file."""
 POINT_BYTES = 24
 """Of a point in an image: x, y, and the number of the point in space."""
+MOST_SIGNS = 60
+"""Of a line that is no line of points: what is repeated to the user."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +91,17 @@ def _text_cameras(path: Path) -> tuple[ColmapCamera, ...]:
 
 
 def _text_images(path: Path) -> tuple[ColmapImage, ...]:
-    """Every second line lists the points of the image above it."""
-    images = []
-    for line in (line for line in _lines(path)[::2] if len(line) >= 10):
+    """Every second line lists the points of the image above it, three numbers each. Raises `RigError` for others."""
+    lines, images = _lines(path), []
+    for line, points in zip(lines[::2], [*lines[1::2], []], strict=False):
+        if len(line) < 10:
+            continue
         where = f"{path}: {line[9]}"
+        if len(points) % 3:
+            raise RigError(
+                f"{where}: expected a line of points below it, empty where there are none, found "
+                f"{' '.join(points)[:MOST_SIGNS]!r}"
+            )
         numbers = _numbers(where, line[1:9])
         images.append(ColmapImage(where, " ".join(line[9:]), int(numbers[7]), numbers[:7]))
     return tuple(images)
@@ -111,9 +120,12 @@ def _lines(path: Path) -> list[list[str]]:
 
 def _numbers(where: str, parts: list[str]) -> Float64:
     try:
-        return np.array([float(part) for part in parts])
+        numbers = np.array([float(part) for part in parts])
     except ValueError as error:
         raise RigError(f"{where}: expected numbers, found {error}") from error
+    if not np.isfinite(numbers).all():
+        raise RigError(f"{where}: expected finite numbers, found {' '.join(parts)}")
+    return numbers
 
 
 class _Bytes:

@@ -8,7 +8,14 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, pose
 from twin_node.rig.errors import RigError
-from twin_node.rig.rig_checks import check_distortion, check_facing, check_intrinsics, check_pose, whole_coefficients
+from twin_node.rig.rig_checks import (
+    check_distortion,
+    check_facing,
+    check_intrinsics,
+    check_pose,
+    check_size,
+    whole_coefficients,
+)
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera, as_camera_name
 
@@ -28,6 +35,10 @@ def foreign_camera(
 ) -> RigCamera:
     """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has."""
     D = whole_coefficients(model, D)
+    check_size(where, np.array(size, dtype=np.float64))
+    for what, values in (("K", K), ("distortion", D), ("pose", T_base_cam)):
+        if not np.isfinite(values).all():
+            raise RigError(f"{where}: expected finite numbers, found {what} {values.tolist()}; calibrate it again")
     check_intrinsics(where, K, size)
     check_distortion(where, model, D)
     check_pose(where, T_base_cam)

@@ -61,24 +61,51 @@ def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
         raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found something else") from error
     is_fisheye = storage.getNode("fisheye_model").real() != 0
     if storage.getNode("M1").empty():
-        width, height = (int(storage.getNode(f"image_{side}").real()) for side in ("width", "height"))
-        K, D = _matrix(path, storage, "camera_matrix"), _matrix(path, storage, "distortion_coefficients").ravel()
+        width, height = (int(_numbers(path, storage, f"image_{side}", ())) for side in ("width", "height"))
+        K, D = _numbers(path, storage, "camera_matrix", (3, 3)), _numbers(path, storage, "distortion_coefficients")
         return [foreign_camera(str(path), path.stem, (width, height), K, np.eye(4), _model(D, is_fisheye), D)]
-    width, height = _matrix(path, storage, "size").ravel().astype(int).tolist()
-    T = from_world_to_camera(_matrix(path, storage, "R"), _matrix(path, storage, "T").ravel() * unit)
+    width, height = _numbers(path, storage, "size", (2,)).astype(int).tolist()
+    T = from_world_to_camera(_numbers(path, storage, "R", (3, 3)), _numbers(path, storage, "T", (3,)) * unit)
     cameras = []
     for name, number, pose in (("left", 1, np.eye(4)), ("right", 2, T)):
-        K, D = _matrix(path, storage, f"M{number}"), _matrix(path, storage, f"D{number}").ravel()
+        K, D = _numbers(path, storage, f"M{number}", (3, 3)), _numbers(path, storage, f"D{number}")
         cameras.append(foreign_camera(f"{path}: {name}", name, (width, height), K, pose, _model(D, is_fisheye), D))
     return cameras
 
 
-def _matrix(path: Path, storage: cv2.FileStorage, key: str) -> Float64:
+def _numbers(path: Path, storage: cv2.FileStorage, key: str, shape: tuple[int, ...] | None = None) -> Float64:
+    """A field that holds finite numbers: a matrix, a sequence as `cv::Size` and vectors are written, or one number.
+
+    `shape`: theirs, a row or column taken for a list; None: a list of any length.
+    """
     node = storage.getNode(key)
-    value = None if node.empty() else node.mat()
-    if value is None:
-        raise RigError(f"{path}: expected the matrix {key!r}, found none; is this a calibration of OpenCV's samples?")
-    return np.asarray(value, dtype=np.float64)
+    if node.empty():
+        raise RigError(f"{path}: expected the field {key!r}, found none; is this a calibration of OpenCV's samples?")
+    value = _value(node)
+    wanted = "" if shape is None else f"{'x'.join(map(str, shape))} " if shape else "one of the "
+    if value is None or not np.isfinite(value).all():
+        found = "something else" if value is None else value.tolist()
+        raise RigError(f"{path}: expected {wanted}finite numbers as {key!r}, found {found}")
+    if shape is None or (len(shape) == 1 and value.ndim == 2 and 1 in value.shape):
+        value = value.ravel()
+    if shape is not None and value.shape != shape:
+        found = "x".join(map(str, value.shape)) or "one number"
+        raise RigError(f"{path}: expected {wanted}finite numbers as {key!r}, found {found}")
+    return value
+
+
+def _value(node: cv2.FileNode) -> Float64 | None:
+    """What a node holds; None: no numbers."""
+    if node.isInt() or node.isReal():
+        return np.array(node.real())
+    if node.isSeq():
+        items = [node.at(i) for i in range(int(node.size()))]
+        return np.array([item.real() for item in items]) if all(i.isInt() or i.isReal() for i in items) else None
+    try:
+        matrix = node.mat()
+    except cv2.error:  # of a text, or of a mapping that is no matrix
+        return None
+    return None if matrix is None else np.asarray(matrix, dtype=np.float64)
 
 
 def _model(D: Float64, is_fisheye: bool) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -70,6 +71,9 @@ def _child(where: str, element: ElementTree.Element, tag: str) -> ElementTree.El
 def _number(where: str, element: ElementTree.Element, key: str) -> float:
     text = element.get(key)
     try:
-        return float(text if text is not None else "")
+        number = float(text if text is not None else "")
     except ValueError:
-        raise RigError(f"{where}: expected a number in {element.tag}.{key}, found {text!r}") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise RigError(f"{where}: expected a number in {element.tag}.{key}, found {text!r}")
+    return number
