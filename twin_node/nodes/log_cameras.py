@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from twin_node.bag import LogReader
@@ -17,6 +17,8 @@ from twin_node.nodes.topics import (
     GraphError,
     camera_of,
     find_cameras,
+    info_beside,
+    is_colour,
     path_of,
 )
 
@@ -101,4 +103,18 @@ def _unused(
                 f"{name} is left out: it holds depth, and there are no colour images of a camera "
                 f"'{camera_of(name)}'; say whose it is, if aligned, with --remap {name}:=/{of}/depth/image_rect{form}"
             )
-    return list(lines.values())
+    colour = [name for name, kind in spoken.items() if kind in IMAGE_TYPES and is_colour(name) and name not in measured]
+    return [*lines.values(), *_namesakes(colour, cameras)]
+
+
+def _namesakes(colour: Collection[str], cameras: tuple[CameraTopics, ...]) -> Iterator[str]:
+    """A line for each folder of colour images besides those of the camera that has its name."""
+    images = {camera.name: camera.image for camera in cameras}
+    folders = {info_beside(image) for image in images.values()}
+    for name in sorted(colour):
+        if info_beside(name) not in folders:
+            folders.add(info_beside(name))
+            yield (
+                f"{name} is left out: the images of a camera '{camera_of(name)}' are on {images[camera_of(name)]}; if "
+                f"it is another one, --remap {name}:=/OTHER/image_raw"
+            )

@@ -188,8 +188,10 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     """Cameras among the topics (name -> type) of a log, by ROS naming, sorted by name.
 
     A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
-    before `image...`, `color...` or `rgb...`. Of several depth topics that is taken which drivers have aligned with the
-    colour image, by its name. A camera with both a raw and a compressed colour topic is read from the compressed one.
+    before `image...`, `color...` or `rgb...`. Of several colour topics of a camera its driver's is taken by its name,
+    before others, on which somebody may have drawn. Of several depth topics that is taken which drivers have aligned
+    with the colour image, by its name. A camera with both a raw and a compressed colour topic is read from the
+    compressed one.
     What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
     Azure's driver brings depth to a camera `/rgb` on `/depth_to_rgb`.
     `measured`: topics that are known to hold depth, whatever their names say; where these name no camera that has
@@ -199,8 +201,8 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     images = [topic for topic in types if types[topic] in IMAGE_TYPES]
     images.sort(key=lambda t: (not is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
-    for topic in images:
-        if _is_colour(topic) and topic not in measured:
+    for topic in sorted(images, key=_by_custom):
+        if is_colour(topic) and topic not in measured:
             colour.setdefault(camera_of(topic), topic)
     depth: dict[str, str] = {}
     for topic in images:
@@ -236,14 +238,23 @@ def has_images(types: Mapping[str, str]) -> bool:
 
 def has_colour(types: Mapping[str, str]) -> bool:
     """Whether a log with these topics (name -> type) has colour images, as `find_cameras` tells them from depth."""
-    return any(kind in IMAGE_TYPES and _is_colour(topic) for topic, kind in types.items())
+    return any(kind in IMAGE_TYPES and is_colour(topic) for topic, kind in types.items())
 
 
 def _is_depth(topic: str) -> bool:
     return "depth" in topic
 
 
-def _is_colour(topic: str) -> bool:
+def _by_custom(image: str) -> int:
+    """Rank of a topic's name among those of one camera: as drivers have it, as rectified images have it, others."""
+    name = image.removesuffix("/compressed").rpartition("/")[2]
+    if name == "image_raw":
+        return 0
+    return 1 if name in ("image", "image_color") or is_rectified(image) else 2
+
+
+def is_colour(topic: str) -> bool:
+    """Whether a topic's images are colour images by its name."""
     return not _is_depth(topic) and not topic.endswith("/compressedDepth")
 
 
