@@ -148,6 +148,26 @@ def test_pictures_named_by_times_belong_together_in_their_order(tmp_path: Path, 
     assert (right.stamps // 10**9).tolist() == [1, 2, 3]
 
 
+@pytest.mark.parametrize("form", ["{camera}/{time}.png", "{camera}_{time}.png"])
+def test_pictures_named_by_seconds_with_a_fraction_are_told_apart(tmp_path: Path, form: str) -> None:
+    """As exports of bags are named: the fraction alone was the number, so that of two seconds' images one was left."""
+    for camera, seconds in (("left", (0, 1, 3)), ("right", (1, 2, 3))):
+        (tmp_path / camera).mkdir()
+        for second in seconds:
+            path = tmp_path / form.format(camera=camera, time=f"{1_700_000_000 + second}.033333")
+            cv2.imwrite(str(path), np.zeros((48, 64), np.uint8))
+    left, right = load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+    assert (left.name, right.name) == ("left", "right")
+    assert [(camera.stamps // 10**9).tolist() for camera in (left, right)] == [[0, 1, 3], [1, 2, 3]]
+
+
+def test_pictures_may_have_a_point_before_their_number(tmp_path: Path) -> None:
+    for name in ("left.0001", "left.0002", "right.0002"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((48, 64), np.uint8))
+    left, right = load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+    assert [(camera.stamps // 10**9).tolist() for camera in (left, right)] == [[1, 2], [2]]
+
+
 def test_camera_info_is_read_back(tmp_path: Path) -> None:
     lens = a_lens("equidistant")
     save_camera_info(lens, tmp_path / "left.yaml")

@@ -36,6 +36,9 @@ STILL_PERIOD_NS = 1_000_000_000
 LARGEST_NUMBER = 1_000_000_000
 """Larger numbers in names of stills count no images: they are times, of which nothing but the order is taken."""
 
+SECONDS = r"\d{9,}\.\d+"
+"""A time in a name of stills: seconds since 1970, with a fraction."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -187,19 +190,25 @@ def _stills(folder: Path) -> dict[str, dict[int, Path]]:
     cameras: dict[str, dict[int, Path]] = {}
     inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
     for path in sorted(folder.iterdir()):
-        match = re.fullmatch(r"(.*?)[_-]?(\d+)", path.stem)
+        match = re.fullmatch(rf"(.*?)[_-]?({SECONDS}|\d+)", path.stem)
         if path.suffix.lower() in IMAGE_SUFFIXES and match and match.group(1):
-            cameras.setdefault(match.group(1), {})[int(match.group(2))] = path
+            cameras.setdefault(match.group(1), {})[_number(match.group(2))] = path
     for directory in inner:
         for path in sorted(directory.iterdir()):
-            number = re.search(r"(\d+)$", path.stem)
+            number = re.search(rf"({SECONDS}|\d+)$", path.stem)
             if path.suffix.lower() in IMAGE_SUFFIXES and number:
-                cameras.setdefault(directory.name, {})[int(number.group())] = path
+                cameras.setdefault(directory.name, {})[_number(number.group())] = path
     numbers = sorted({number for numbered in cameras.values() for number in numbered})
     if not numbers or numbers[-1] <= LARGEST_NUMBER:
         return cameras
     places = {number: place for place, number in enumerate(numbers)}
     return {name: {places[n]: path for n, path in numbered.items()} for name, numbered in cameras.items()}
+
+
+def _number(text: str) -> int:
+    """A still's number; of a time in seconds with a fraction nanoseconds."""
+    whole, _, fraction = text.partition(".")
+    return int(whole + fraction.ljust(9, "0")[:9]) if fraction else int(whole)
 
 
 def _still_camera(name: str, numbered: dict[int, Path], board: Board, progress: Progress | None) -> CameraRecording:
