@@ -14,6 +14,8 @@ from twin_node.scene import Bool, Camera, Float32, Float64, Rig, RigCamera, UInt
 
 SUPERSAMPLING = 1.5
 """Least pixels per output pixel and axis that are interpolated before averaging: fine texture leaves no aliases."""
+OTHER_SHAPE = 0.05
+"""Difference between the shapes of depth and image, as a share of width by height, that is no driver's rounding."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class Undistorter:
         `depth` [h, w] is in metres along the optical axis, of any resolution that covers the same image, or what the
         camera's `depth_lens` sees; what is not a positive finite number becomes 0. Depth is picked, never averaged.
 
-        Raises `RigError` where the image is not of the calibrated size, and for depth in whole numbers.
+        Raises `RigError` where the image is not of the calibrated size, for depth in whole numbers, and for depth of
+        another shape, which does not cover the same image.
         """
         raw = self._raw
         if rgb.shape != (raw.height, raw.width, 3) or rgb.dtype != np.uint8:
@@ -140,6 +143,12 @@ class Undistorter:
     def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int16], Bool]:
         """The nearest depth pixel (x, y) [H, W, 2] of every output pixel, and whether it is inside the depth image."""
         lens = self._depth_lens
+        if abs(shape[1] * lens.height / (shape[0] * lens.width) - 1) > OTHER_SHAPE:
+            raise RigError(
+                f"camera {self._raw.name}: expected depth of all that its image shows, so of the shape of "
+                f"{lens.width}x{lens.height}, found {shape[1]}x{shape[0]}; let the driver align it with the image, or "
+                "record it in the same mode"
+            )
         pixels = self._raw_pixels(lens, self.camera.width, self.camera.height)
         source = np.rint(_rescale(pixels, (lens.width, lens.height), (shape[1], shape[0])))
         limit = np.array([shape[1] - 1, shape[0] - 1])
