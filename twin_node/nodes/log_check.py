@@ -19,7 +19,7 @@ from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import base_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.moved_frames import moved_frames
-from twin_node.nodes.renaming import renamed
+from twin_node.nodes.renaming import check_types, renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import (
@@ -123,7 +123,13 @@ def check_log(log: LogReader) -> LogCheck:
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
-    whole += [*_camera_faults(log, seen), *moved_frames(log, renamed(log).original(TF_STATIC))]
+    topics = renamed(log)
+    try:
+        check_types(log, topics)
+    except GraphError as error:
+        whole.append(str(error))
+    else:
+        whole += [*_camera_faults(log, seen), *moved_frames(log, topics.original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
 
 

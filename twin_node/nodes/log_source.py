@@ -20,7 +20,7 @@ from twin_node.nodes.log_doubts import (
     rig_doubts,
 )
 from twin_node.nodes.player import Player, Span, span_of
-from twin_node.nodes.renaming import renamed
+from twin_node.nodes.renaming import check_types, renamed
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
@@ -50,6 +50,7 @@ class LogSession:
         self.log: LogReader = open_log(path)
         try:
             self._names = names = renamed(self.log, remaps)
+            check_types(self.log, names)
             with damage_first(self.log):
                 cameras = cameras_of(self.log, names)
                 in_log = [names.original_camera(camera) for camera in cameras.found]

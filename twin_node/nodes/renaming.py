@@ -8,13 +8,21 @@ from dataclasses import dataclass, replace
 from twin_node.bag import LogReader
 from twin_node.nodes.topics import (
     CAMERA_INFO,
+    JOINT_STATES,
+    TF,
+    TF_STATIC,
+    TRAJECTORY,
     CameraTopics,
     GraphError,
     absolute,
     info_beside,
     is_aligned_depth,
     is_rectified,
+    kind_of_own,
 )
+
+_READ = (JOINT_STATES, TRAJECTORY, TF_STATIC, TF)
+"""Beside images and their calibration."""
 
 
 @dataclass(frozen=True)
@@ -86,3 +94,17 @@ def of_log(remaps: Mapping[str, str], log: LogReader) -> dict[str, str]:
     """Those of some remaps whose topic a log has."""
     held = {absolute(topic.name) for topic in log.topics}
     return {source: name for source, name in remaps.items() if source in held}
+
+
+def check_types(log: LogReader, names: Renamed) -> None:
+    """Raises `GraphError` where a name that a reader of the log looks for is that of something else."""
+    for name, found in names.spoken.items():
+        if name not in _READ and not name.endswith("/camera_info"):
+            continue
+        expected, original = kind_of_own(name).msgtype, names.original(name)
+        if found != expected:
+            where = "" if original == name else f" on {original}"
+            raise GraphError(
+                f"{log.path}: expected {expected} on {name}, found {found}{where}; give it another name: "
+                f"--remap {original}:=/OTHER"
+            )
