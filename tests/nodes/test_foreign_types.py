@@ -11,6 +11,7 @@ from twin_node.bag import LogWriter, open_log
 from twin_node.messages import message_type
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import GraphError
 
 
@@ -38,6 +39,8 @@ def test_a_topic_of_another_type_than_its_name_has_here_is_refused(
     expected = f"expected {kind} on {topic}, found std_msgs/msg/String; give it another name: --remap {topic}:=/OTHER"
     with pytest.raises(GraphError, match=expected):
         LogSession(path)
+    with pytest.raises(GraphError, match=expected):
+        Playback([path])
     with open_log(path) as log:
         (fault,) = check_log(log).faults
     assert expected in fault

@@ -14,7 +14,7 @@ from twin_node.messages import MessageError, header_stamp
 from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import OTHER_CLOCK_NS
-from twin_node.nodes.renaming import Renamed, of_log, renamed
+from twin_node.nodes.renaming import Renamed, check_types, of_log, renamed
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import (
     DEPTH_BY_NAME,
@@ -178,12 +178,18 @@ class Playback:
             yield from self._logs[place].messages([original], start_ns, stop_ns)
 
     def _renamed(self, remaps: Mapping[str, str]) -> tuple[Renamed, ...]:
-        """Each log's topics by their new names. Raises `GraphError` for a remap of what no log has."""
+        """Each log's topics by their new names.
+
+        Raises `GraphError` for a remap of what no log has, and for a name of ours that is that of something else.
+        """
         of_logs = [of_log(remaps, log) for log in self._logs]
         for source in remaps:
             if not any(source in known for known in of_logs):
                 raise GraphError(f"--remap {source}:={remaps[source]}: {self.name}: no topic {source}")
-        return tuple(renamed(log, known) for log, known in zip(self._logs, of_logs, strict=True))
+        found = tuple(renamed(log, known) for log, known in zip(self._logs, of_logs, strict=True))
+        for log, names in zip(self._logs, found, strict=True):
+            check_types(log, names)
+        return found
 
     def _span(self) -> tuple[int, int]:
         """The time in which there is something of the twin to see; of the images where there is no twin."""
