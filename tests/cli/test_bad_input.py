@@ -204,6 +204,7 @@ def test_times_beyond_all_logs(option: str, cell_log: Callable[..., Path]) -> No
     "values",
     [
         "max_rate_hz: 0.0",
+        "max_rate_hz: 1.0e-300",
         "max_rate_hz: -3.0",
         "depth_tolerance_ms: -1.0",
         "depth_tolerance_ms: .inf",

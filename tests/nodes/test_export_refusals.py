@@ -208,7 +208,15 @@ def test_a_log_without_obstacles_is_refused(
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("means", np.nan), ("means", np.inf), ("quats", np.nan), ("log_scales", 200), ("logits", np.nan), ("sh", np.nan)],
+    [
+        ("means", np.nan),
+        ("means", np.inf),
+        ("quats", np.nan),
+        ("quats", 0),
+        ("log_scales", 200),
+        ("logits", np.nan),
+        ("sh", np.nan),
+    ],
 )
 def test_a_scene_with_numbers_that_are_none_is_refused(
     tmp_path: Path, refused: Callable[..., str], field: str, value: float

@@ -24,6 +24,8 @@ from twin_node.scene import Camera, Rig, RigCamera, View
 
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
+LEAST_RATE_HZ = 1e-6
+"""A set in eleven days: between rarer ones no stamp could lie."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,10 @@ class SynchronizerParameters:
                 f"synchronizer: width: expected {WIDTHS_PX} pixels, found {self.width}; leave it out to take the "
                 "cameras' own"
             )
-        if self.max_rate_hz is not None and not self.max_rate_hz > 0:
+        if self.max_rate_hz is not None and not self.max_rate_hz >= LEAST_RATE_HZ:
             raise GraphError(
-                f"synchronizer: max_rate_hz: expected more than 0 Hz, found {self.max_rate_hz:g}; leave it out to take "
-                "all sets"
+                f"synchronizer: max_rate_hz: expected {LEAST_RATE_HZ:g} Hz or more, found {self.max_rate_hz:g}; leave "
+                "it out to take all sets"
             )
         if not 0 <= self.depth_tolerance_ms <= MOST_TOLERANCE_MS:
             raise GraphError(

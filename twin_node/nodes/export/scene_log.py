@@ -62,6 +62,10 @@ def _trained_clouds(path: Path) -> Iterator[tuple[int, GaussianCloud]]:
 def _require_finite(cloud: GaussianCloud, path: Path) -> None:
     """Raises `ModelError` for Gaussians that no reader of a log would take."""
     finite = np.isfinite(np.column_stack([cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.rgb])).all(1)
-    if not finite.all():
-        bad = f"{np.sum(~finite)} of {len(cloud.means)} Gaussians, the first at {int(finite.argmin())}"
-        raise ModelError(f"{path}: expected finite numbers, found others in {bad}; take them out where it was made")
+    fit = finite & cloud.quats.any(1)
+    if not fit.all():
+        bad = f"{np.sum(~fit)} of {len(cloud.means)} Gaussians, the first at {int(fit.argmin())}"
+        raise ModelError(
+            f"{path}: expected finite numbers and quaternions that are not 0, found others in {bad}; take them out "
+            "where it was made"
+        )
