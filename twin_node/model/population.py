@@ -29,6 +29,7 @@ from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
 from twin_node.model.throttle import Throttle
+from twin_node.model.usual_pace import usual_periods
 from twin_node.scene import Tier
 
 STANDING_JUDGED_S, MOVING_JUDGED_S = 0.06, 0.4
@@ -38,10 +39,7 @@ CARVE_LOOKS = 2
 """Looks in a row in which a camera sees through a Gaussian before it dies."""
 TURNOVER = 0.05
 """Share of the Gaussians that move that newborns may replace per set where no room is left: they are guesses, and what
-they replace was fitted."""
-USUAL_PERIOD_S = 1 / 15
-"""Time between two sets, s, up to which `TURNOVER` and `birth.per_set` hold as they are: of what moves, sets that are
-further apart find as much more where nodes do not carry it."""
+they replace was fitted. More of sets that are further apart than usual, as of `birth.per_set`: nodes carry less."""
 ARM_LOST_S = 1.0
 """Time without joints after which an arm counts as one of the things, s: messages get lost."""
 NEEDED_LIVES = 6.0
@@ -87,6 +85,7 @@ class Population:
         self._pruner = MovingPruner(gaussians)
         self._judging, self._burying = Throttle(STANDING_JUDGED_S), Throttle(MOVING_JUDGED_S)
         self._bore_at: int | None = None
+        """Stamp of the set that was looked through for births last, ns."""
 
     def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering], arm_lost_s: float = 0.0) -> None:
         """What the images refute goes: what stands often, for what begins to move must board at once; what moves now
@@ -112,7 +111,8 @@ class Population:
 
     def bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> Born:
         """Gaussians and nodes for what `renderings` leave unexplained."""
-        room, periods = self._room(), self._periods()
+        room, before, self._bore_at = self._room(), self._bore_at, self._nodes.stamp
+        periods = 1.0 if before is None else usual_periods((self._nodes.stamp - before) * 1e-9)
         replaced = int(min(periods * TURNOVER, 1.0) * room.most)
         wanted = min(int(periods * self._parameters.birth.per_set), max(room.left, replaced, len(observed)))
         side = block_side(sum(one.usable.size for one in observed), room.most)
@@ -126,11 +126,6 @@ class Population:
             self._backgrounds.mark()
         stored = store(births, adopted, self._placer.poses(observed), self._nodes, self._gaussians)
         return Born(len(stored), roused)
-
-    def _periods(self) -> float:
-        """Usual periods since the births before, one at least."""
-        before, self._bore_at = self._bore_at, self._nodes.stamp
-        return 1.0 if before is None else max((self._nodes.stamp - before) * 1e-9 / USUAL_PERIOD_S, 1.0)
 
     def _judge_static(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
         """STATIC Gaussians that have left die, those that are part of something that moves join its node.

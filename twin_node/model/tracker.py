@@ -22,7 +22,7 @@ from twin_node.model.observation import Observed, Observer
 from twin_node.model.occluders import occluders
 from twin_node.model.parameters import ModelParameters
 from twin_node.model.placing import Placer
-from twin_node.model.population import USUAL_PERIOD_S, Population
+from twin_node.model.population import Population
 from twin_node.model.regrouping import Carried
 from twin_node.model.rendering import Rendering, Splats
 from twin_node.model.resting import Resting
@@ -32,6 +32,7 @@ from twin_node.model.stages import OnStage, Proceed, granted, unhurried, unwatch
 from twin_node.model.step_budget import Part, StepBudget
 from twin_node.model.unselected import fit_unselected
 from twin_node.model.upkeep import Seen, Upkeep
+from twin_node.model.usual_pace import usual_periods
 from twin_node.scene import Bool, FrameSet
 
 LEAST_SLICES = 4
@@ -40,7 +41,7 @@ BRAKE, PICK_UP = 0.1, 1.1
 """What the learning rate is multiplied by after steps that diverged, and after others until it is whole again."""
 
 MOST_STRETCHED = 4.0
-"""How many times `track.steps` a set has at most, where it comes so many `USUAL_PERIOD_S` after the set before."""
+"""How many times `track.steps` a set has at most, where it comes so many usual periods after the set before."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +265,7 @@ class Tracker:
     def _planned(self, dt_s: float) -> int:
         """Steps of the fit, which grow with what has changed, where there is time for them: while sets wait, more would
         only make them rarer."""
-        stretch = min(max(dt_s / USUAL_PERIOD_S, 1.0), MOST_STRETCHED) if self._slack.is_at_ease else 1.0
+        stretch = min(usual_periods(dt_s), MOST_STRETCHED) if self._slack.is_at_ease else 1.0
         return int(self._parameters.track.steps * stretch)
 
     def _before(self, observed: Sequence[Observed], moving: Splats) -> Tensor:
