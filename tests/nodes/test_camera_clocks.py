@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from twin_node.bag import LogWriter, open_log, write_rig
+from twin_node.errors import TwinWarning
 from twin_node.geometry import pose
 from twin_node.messages.convert import camera_info, compressed_image, joint_sample_to_message
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -85,3 +86,72 @@ def test_joints_that_are_stamped_by_another_clock_than_images_are_told(
     with LogSession(tmp_path / "joints.mcap") as session:
         assert len(session.set_doubts) == is_told
         assert all("joints on /joint_states are stamped" in line for line in session.set_doubts)
+
+
+def write_apart(path: Path, off_s: dict[str, float], recorded: str = "when taken", late_s: float = 0.0) -> None:
+    """Two seconds of three cameras, each with a clock of its own; `late_s`: when the camera "c" begins.
+
+    `recorded`: at which times of the log.
+    """
+    K = np.array([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]])
+    poses = [pose(np.eye(3), np.array([x, 0, -1])) for x in (0.0, 0.5, 1.0)]
+    rig = Rig(tuple(RigCamera(name, 64, 48, K, T) for name, T in zip("abc", poses, strict=True)), None)
+    image = np.zeros((48, 64, 3), np.uint8)
+    with LogWriter(path) as writer:
+        write_rig(writer, rig, START)
+        for camera in rig.cameras:
+            writer.write(f"/{camera.name}/camera_info", camera_info(camera, START), START)
+        for i in range(10):
+            true = START + i * 200_000_000
+            stored = {"when taken": true, "at once": START, "an hour early": true - 3_600_000_000_000}[recorded]
+            for name in "abc"[: 3 if true >= START + late_s * 1e9 else 2]:
+                stamp = true + round(off_s.get(name, 0.0) * 1e9)
+                writer.write(f"/{name}/image_raw/compressed", compressed_image(name, stamp, image), stored)
+
+
+@pytest.mark.parametrize("recorded", ["when taken", "an hour early"])
+@pytest.mark.parametrize(
+    ("off_s", "told"),
+    [
+        ({"c": 3600.0}, {"c": 3600.0}),
+        ({"a": 0.4}, {"a": 0.4}),
+        ({"a": 0.4, "b": 0.4}, {}),
+        ({"a": 0.4, "b": 5.0}, {"a": 0.4, "b": 5.0}),
+        ({"b": -5.0}, {"b": -5.0}),
+    ],
+)
+def test_a_camera_by_another_clock_is_told_and_takes_no_set_from_the_others(
+    tmp_path: Path, off_s: dict[str, float], told: dict[str, float], recorded: str
+) -> None:
+    """One that was ahead had all sets for itself, for the others' images were late by it; a live twin refuses it.
+
+    Two that agree are the cell's clock.
+    """
+    write_apart(tmp_path / "log.mcap", off_s, recorded)
+    with LogSession(tmp_path / "log.mcap") as session:
+        assert session.clocks_apart == {name: round(s * 1e9) for name, s in told.items()}
+        starts = [f"camera '{name}': images are stamped {abs(s):.3f} s" for name, s in told.items()]
+        lines = [line for line in session.camera_doubts if "by another clock" in line]
+        assert [line.startswith(start) for start, line in zip(starts, lines, strict=True)] == [True] * len(told)
+        with pytest.warns(TwinWarning):
+            sets = list(LogSource(session, SynchronizerParameters()))
+        rig = session.rig
+    theirs = set("abc") - (set(told) or {"c"})
+    assert len(sets) >= 8
+    assert all({view.camera.name for view in frames.views} == theirs for frames in sets[1:-1])
+    offsets = {camera.name: round(-off_s.get(camera.name, 0.0) * 1e9) for camera in rig.cameras}
+    mended = tuple(replace(camera, time_offset_ns=offsets[camera.name]) for camera in rig.cameras)
+    with LogSession(tmp_path / "log.mcap", Rig(mended, None)) as session:
+        assert session.clocks_apart == {}
+        assert [len(frames.views) for frames in LogSource(session, SynchronizerParameters())][1:-1] == [3] * 8
+
+
+@pytest.mark.parametrize(("recorded", "late_s"), [("at once", 0.0), ("at once", 0.6), ("when taken", 0.6)])
+def test_cameras_by_one_clock_are_not_told_whenever_they_come_and_are_recorded(
+    tmp_path: Path, recorded: str, late_s: float
+) -> None:
+    write_apart(tmp_path / "log.mcap", {}, recorded, late_s)
+    with LogSession(tmp_path / "log.mcap") as session:
+        assert session.clocks_apart == {}
+        sets = list(LogSource(session, SynchronizerParameters()))
+    assert len(sets) >= 8 and len(sets[-2].views) == 3

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from twin_node.bag import LogReader
-from twin_node.messages import MessageError, header_stamp
+from twin_node.messages import MessageError
 from twin_node.messages.convert import BASE_FRAME
 from twin_node.nodes.calibration import static_transforms
 from twin_node.nodes.contents import content_of
@@ -27,8 +27,6 @@ LOOKED_AT = 50
 """Messages that tell which joints there are: of some devices on one topic, each at a rate of its own."""
 ONE_BASE = 1e-3
 """By so much, m and rad, two frames of one base may differ."""
-OTHER_CLOCK_NS = 1_000_000_000
-"""No image is recorded so long after its exposure, by one clock."""
 
 
 def rig_doubts(cameras: Sequence[CameraTopics], rig: Rig) -> Iterator[str]:
@@ -95,40 +93,3 @@ def base_doubts(log: LogReader, names: Renamed) -> Iterator[str]:
                     f"{np.linalg.norm(T[:3, 3]):.2f} m from {BASE_FRAME}, where the twin takes an arm to stand: give "
                     f"--rig RIG.yaml with the cameras' poses in {prefix}{BASE_FRAME}"
                 )
-
-
-def clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:
-    """A line where images were recorded long after their stamps; `camera`: one of the log's, as the log calls it."""
-    old_ns = _image_delay(log, camera, rig)
-    if old_ns is not None and old_ns > OTHER_CLOCK_NS:
-        yield (
-            f"images are stamped {old_ns / 1e9:.1f} s before they were recorded, by another clock: no arm may go by "
-            "what is so old, and each decision is to stand; record by the clock of the stamps (a simulator's: ros2 bag "
-            "record --use-sim-time)"
-        )
-
-
-def joint_clock_doubts(log: LogReader, names: Renamed, camera: CameraTopics, rig: Rig) -> Iterator[str]:
-    """A line where joints are stamped by another clock than images, so that they belong to none; `camera`: as above."""
-    image_delay = _image_delay(log, camera, rig)
-    if image_delay is None:
-        return
-    entries = itertools.islice(log.messages([names.original(JOINT_STATES)]), LOOKED_AT)
-    apart_ns = [entry.stamp - header_stamp(content_of(entry, log)) - image_delay for entry in entries]
-    nearest_ns = min(apart_ns, key=abs, default=0)
-    if abs(nearest_ns) > OTHER_CLOCK_NS:
-        yield (
-            f"joints on {names.original(JOINT_STATES)} are stamped {abs(nearest_ns) / 1e9:.1f} s "
-            f"{'before' if nearest_ns > 0 else 'after'} images that were recorded with them, by another clock: they "
-            "are those of no image, and the arm in the images counts as something that moves; let their publisher fill "
-            "in header.stamp, by the clock of the cameras"
-        )
-
-
-def _image_delay(log: LogReader, camera: CameraTopics, rig: Rig) -> int | None:
-    """From the first image's stamp on the rig's clock until it was recorded, ns; None without an image."""
-    calibrated = next((one for one in rig.cameras if one.name == camera.name), None)
-    first = next(log.messages([camera.image]), None)
-    if calibrated is None or first is None:
-        return None
-    return first.stamp - calibrated.rig_time(header_stamp(content_of(first, log)))

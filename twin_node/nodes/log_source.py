@@ -11,14 +11,8 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import (
-    base_doubts,
-    clock_doubts,
-    joint_clock_doubts,
-    joint_doubts,
-    joints_told,
-    rig_doubts,
-)
+from twin_node.nodes.log_clocks import apart_doubts, clock_doubts, clocks_apart, joint_clock_doubts
+from twin_node.nodes.log_doubts import base_doubts, joint_doubts, joints_told, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import check_types, renamed
 from twin_node.nodes.set_contents import SetContents
@@ -61,10 +55,14 @@ class LogSession:
             self.cameras: tuple[CameraTopics, ...] = tuple(c for c in cameras.found if found.has(c.name))
             """Those of the rig."""
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-            of_clock = clock_doubts(self.log, looked_through[0], self.rig)
-            of_joints = (*joint_doubts(names), *joint_clock_doubts(self.log, names, looked_through[0], self.rig))
+            self.clocks_apart = clocks_apart(self.log, looked_through, self.rig, self.span)
+            """Cameras that another clock than the others' stamps, which are in no set, and how far it is ahead, ns."""
+            timed = next(camera for camera in looked_through if camera.name not in self.clocks_apart)
+            of_clock = clock_doubts(self.log, timed, self.rig)
+            of_joints = (*joint_doubts(names), *joint_clock_doubts(self.log, names, timed, self.rig))
             of_base = base_doubts(self.log, names) if rig_file is None else ()
-            self.camera_doubts = (*cameras.unused, *found.left_out, *rig_doubts(looked_through, self.rig))
+            of_places = rig_doubts(looked_through, self.rig)
+            self.camera_doubts = (*cameras.unused, *found.left_out, *of_places, *apart_doubts(self.clocks_apart))
             """What of the cameras may not be meant as it is taken, a line each."""
             unread = (f"not read: {line}" for line in self.log.left_out)
             self.set_doubts = (*unread, *self.camera_doubts, *of_joints, *of_base)
@@ -79,6 +77,11 @@ class LogSession:
             played |= {camera.image} | ({camera.depth} if camera.depth else set())
         self.topics = {names.original(name): name for name in sorted(played) if name in names.types}
         """The log's topics to play -> the names they are published under."""
+
+    @property
+    def expected(self) -> tuple[str, ...]:
+        """Names of the cameras that sets can have images of."""
+        return tuple(camera.name for camera in self.rig.cameras if camera.name not in self.clocks_apart)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: opened there."""
@@ -100,7 +103,9 @@ class LogSession:
         self, bus: Bus, clock: Clock, parameters: SynchronizerParameters, joint_names: Collection[str]
     ) -> SynchronizerNode:
         """What groups the log's images; `joint_names`: the arm's, see `SynchronizerNode`."""
-        return SynchronizerNode(bus, clock, self.cameras, self.rig, parameters, joint_names=joint_names)
+        return SynchronizerNode(
+            bus, clock, self.cameras, self.rig, parameters, joint_names=joint_names, clocks_apart=self.clocks_apart
+        )
 
     def expected_hz(self, most_hz: float | None) -> float:
         """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
@@ -159,7 +164,7 @@ class LogSource:
             ready.clear()
         if self._session.log.damage is not None:
             warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
-        for line in held.lacking([camera.name for camera in self._cameras], self._session.cameras):
+        for line in held.lacking(self._session.expected, self._session.cameras):
             warnings.warn(line, TwinWarning, stacklevel=2)
 
 

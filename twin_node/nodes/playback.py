@@ -13,7 +13,7 @@ from twin_node.bag.latched import newest_before
 from twin_node.messages import MessageError, header_stamp
 from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import OTHER_CLOCK_NS
+from twin_node.nodes.log_clocks import OTHER_CLOCK_NS
 from twin_node.nodes.renaming import Renamed, check_types, of_log, renamed
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import (

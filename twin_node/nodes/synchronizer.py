@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -76,14 +76,17 @@ class SynchronizerNode(Node):
         parameters: SynchronizerParameters,
         timers: Timers | None = None,
         joint_names: Collection[str] = (),
+        clocks_apart: Mapping[str, int] | None = None,
     ) -> None:
         """`timers` of a live graph end the wait for silent cameras, and wrong stamps are counted; None in lockstep.
 
         `joint_names`: the arm's; joints that are not all of these (a gripper's, an axis') are left out of the sets.
+        `clocks_apart`: cameras of a log that another clock than the others' stamps, and by how much it is ahead, ns.
         """
         super().__init__("synchronizer", bus, clock)
         self._is_live = timers is not None
         self._joint_names = frozenset(joint_names)
+        self._clocks_apart = clocks_apart or {}
         self._deadline = (timers or NoTimers()).alarm(self._on_deadline)
         self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
@@ -162,8 +165,8 @@ class SynchronizerNode(Node):
         self._watch.add(name, stamp, now, view.depth is not None)
         if view.depth is not None and not self._topics[name].is_depth_aligned:
             self._watch.add_depth_frame(name, view.depth.header.frame_id, view.colour.header.frame_id)
-        if not self._is_live:
-            now = max(now, stamp)  # a log's clock is its recording times, which may lie before the stamps
+        if not self._is_live:  # a log's clock is its recording times, which may lie before the stamps
+            now = max(now, stamp - self._clocks_apart.get(name, 0))
         self._take(self._synchronizer.add(name, stamp, view, now), now)
         if self._decodes_early and self._is_due(self._early.set_of(name, stamp)):
             with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
