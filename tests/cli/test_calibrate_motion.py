@@ -10,9 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin_node.bag import LogWriter, open_log
 from twin_node.cli import main
+from twin_node.messages import header_stamp, to_time
 from twin_node.rig import load_rig, save_rig
 from twin_node.rig.evidence import CameraEvidence
+
+AHEAD_NS = 500_000_000
 
 
 def test_hand_eye_of_a_folder(recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,12 +70,28 @@ def test_refine_of_a_log_with_depth(
 def test_refine_times_the_clocks_too(
     cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One file with places and clocks; where the arm hardly moves, the places alone, and a warning."""
+    """One file with places and clocks; where the arm hardly moves, the places alone, and a warning.
+
+    A camera by another clock is timed from where the recording puts it, and placed.
+    """
     little = ("--arm", "ur5e", "--duration", "1")
-    out, log, narrow = tmp_path / "refined.yaml", str(cell_log(2.0, width=240, height=180)), ("--max-offset", "0.05")
+    out, log, narrow = tmp_path / "refined.yaml", str(tmp_path / "log.mcap"), ("--max-offset", "0.05")
+    with open_log(cell_log(2.0, width=240, height=180)) as read, LogWriter(log) as written:
+        for one in read.messages():
+            message = one.message
+            if one.topic.startswith("/cam_left/"):
+                at = to_time(header_stamp(message) + AHEAD_NS)
+                message = replace(message, header=replace(message.header, stamp=at))
+            written.write(one.topic, message, one.stamp)
     assert main(["calibrate", "refine", log, "-o", str(out), "--json", "--time", *narrow]) == 0
-    clocks = json.loads(capsys.readouterr().out)["clocks"]
+    captured = capsys.readouterr()
+    clocks = json.loads(captured.out)["clocks"]
+    assert "camera 'cam_left': images are stamped 0.500 s after the others'" in captured.err
+    assert abs(clocks["cameras"]["cam_left"]["offset_ns"] + AHEAD_NS) < 50_000_000
     file = load_rig(out)
+    ahead = next(camera for camera in file.rig.cameras if camera.name == "cam_left")
+    start = 1_700_000_000_000_000_000
+    assert abs(ahead.rig_time(start + AHEAD_NS) - start) < 50_000_000
     assert list(clocks["cameras"]) == [camera.name for camera in file.rig.cameras]
     assert file.evidence is not None and all(
         one is not None and one.time_offset_sigma is not None for one in file.evidence

@@ -135,7 +135,12 @@ def test_a_camera_by_another_clock_is_told_and_takes_no_set_from_the_others(
         assert [line.startswith(start) for start, line in zip(starts, lines, strict=True)] == [True] * len(told)
         with pytest.warns(TwinWarning):
             sets = list(LogSource(session, SynchronizerParameters()))
+        with pytest.warns(TwinWarning):
+            every = list(LogSource(session, SynchronizerParameters(), takes_all=True))
         rig = session.rig
+    if told:
+        assert [len(frames.views) for frames in every][1:-1] == [3] * 8
+        assert max(np.ptp([view.stamp for view in frames.views]) for frames in every) == 0
     theirs = set("abc") - (set(told) or {"c"})
     assert len(sets) >= 8
     assert all({view.camera.name for view in frames.views} == theirs for frames in sets[1:-1])

@@ -162,18 +162,19 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
         warn(f"camera {camera}: {step.told(session.span.start_ns)}")
     arm = session.arm(options.arm) if options.arm else None
     parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
-    source = LogSource(session, parameters, arm.joint_names if arm else ())
+    source = LogSource(session, parameters, arm.joint_names if arm else (), takes_all=True)
     sets = tqdm(source, unit="set", desc="time", disable=None)
     result = calibrate_clocks(source.cameras, sets, arm, options.max_offset)
+    clocks = tuple(clock.ahead_of(session.clocks_apart.get(clock.name, 0)) for clock in result.cameras)
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"
         + ("" if clock.certain else ", not more than it may be wrong by: left as it is")
-        for clock in result.cameras
+        for clock in clocks
     ]
     notes = f"Clocks timed from {options.log.name} against {result.reference} ({'; '.join(lines)}). {given.notes}"
     cameras = tuple(
         clock.applied(camera) if clock.certain else camera
-        for camera, clock in zip(given.rig.cameras, result.cameras, strict=True)
+        for camera, clock in zip(given.rig.cameras, clocks, strict=True)
     )
     known = given.evidence or (None,) * len(cameras)
     evidence = tuple(
@@ -182,12 +183,12 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
             time_offset_sigma=clock.sigma_ns / 1e9,
             time_rate_sigma_ppm=clock.rate_sigma_ppm,
         )
-        for before, clock in zip(known, result.cameras, strict=True)
+        for before, clock in zip(known, clocks, strict=True)
     )
     rig = replace(given.rig, cameras=cameras)
     figures: dict[str, object] = {
         "reference": result.reference,
-        "cameras": {clock.name: asdict(clock) for clock in result.cameras},
+        "cameras": {clock.name: asdict(clock) for clock in clocks},
     }
     return _Timed(replace(given, rig=rig, date=today(), notes=notes.strip(), evidence=evidence), lines, figures)
 
@@ -230,7 +231,7 @@ def _stills(session: LogSession, rate_hz: float) -> tuple[Still, ...]:
 
     rig = session.rig
     session.rig = without_distortion(rig)
-    sets = LogSource(session, SynchronizerParameters(max_rate_hz=rate_hz))
+    sets = LogSource(session, SynchronizerParameters(max_rate_hz=rate_hz), takes_all=True)
     return stills_of(rig, tqdm(sets, unit="set", desc="read", disable=None))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 
 from twin_node.bag import LogReader
@@ -69,9 +70,16 @@ def apart_doubts(apart: Mapping[str, int]) -> Iterator[str]:
         order = "after" if ahead_ns > 0 else "before"
         yield (
             f"camera '{name}': images are stamped {abs(ahead_ns) / 1e9:.3f} s {order} the others' that were recorded "
-            "with them, by another clock, and are in no set: let chrony or PTP keep the clocks together, or give a rig "
-            f"file with {-ahead_ns / 1e9:.3f} s more time_offset there, and refine that by 'twin_node calibrate time'"
+            "with them, by another clock, and the twin goes without them: let chrony or PTP keep the clocks together, "
+            f"or give a rig file with a time_offset, {-ahead_ns / 1e9:+.3f} s or what 'twin_node calibrate time' finds"
         )
+
+
+def by_one_clock(rig: Rig, apart: Mapping[str, int]) -> Rig:
+    """The rig with cameras of `clocks_apart` put right: by some ten milliseconds, as much as delays differ."""
+    offsets = [camera.time_offset_ns - apart.get(camera.name, 0) for camera in rig.cameras]
+    cameras = (replace(camera, time_offset_ns=ns) for camera, ns in zip(rig.cameras, offsets, strict=True))
+    return replace(rig, cameras=tuple(cameras))
 
 
 def clock_doubts(log: LogReader, camera: CameraTopics, rig: Rig) -> Iterator[str]:

@@ -11,7 +11,7 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_clocks import apart_doubts, clock_doubts, clocks_apart, joint_clock_doubts
+from twin_node.nodes.log_clocks import apart_doubts, by_one_clock, clock_doubts, clocks_apart, joint_clock_doubts
 from twin_node.nodes.log_doubts import base_doubts, joint_doubts, joints_told, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import check_types, renamed
@@ -100,12 +100,20 @@ class LogSession:
             warnings.warn(f"{self.log.path}: {line}", TwinWarning, stacklevel=1)
 
     def synchronizer(
-        self, bus: Bus, clock: Clock, parameters: SynchronizerParameters, joint_names: Collection[str]
+        self,
+        bus: Bus,
+        clock: Clock,
+        parameters: SynchronizerParameters,
+        joint_names: Collection[str],
+        takes_all: bool = False,
     ) -> SynchronizerNode:
-        """What groups the log's images; `joint_names`: the arm's, see `SynchronizerNode`."""
-        return SynchronizerNode(
-            bus, clock, self.cameras, self.rig, parameters, joint_names=joint_names, clocks_apart=self.clocks_apart
-        )
+        """What groups the log's images; `joint_names`: the arm's, see `SynchronizerNode`.
+
+        `takes_all`: those by another clock too, taken to be as old as the others' that were recorded with them.
+        """
+        apart = {} if takes_all else self.clocks_apart
+        rig = by_one_clock(self.rig, self.clocks_apart) if takes_all else self.rig
+        return SynchronizerNode(bus, clock, self.cameras, rig, parameters, joint_names=joint_names, clocks_apart=apart)
 
     def expected_hz(self, most_hz: float | None) -> float:
         """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
@@ -126,13 +134,16 @@ class LogSource:
     """Frame sets of a log in lockstep; a `scene.FrameSource`."""
 
     def __init__(
-        self, session: LogSession, parameters: SynchronizerParameters, joint_names: Collection[str] = ()
+        self,
+        session: LogSession,
+        parameters: SynchronizerParameters,
+        joint_names: Collection[str] = (),
+        takes_all: bool = False,
     ) -> None:
-        """`joint_names`: the arm's, see `SynchronizerNode`."""
+        """`joint_names`, `takes_all`: see `LogSession.synchronizer`."""
         self._session = session
-        self._parameters = parameters
-        self._joint_names = joint_names
-        unused = session.synchronizer(LocalBus(), SteppedClock(), parameters, joint_names)
+        self._grouping = (parameters, joint_names, takes_all)
+        unused = session.synchronizer(LocalBus(), SteppedClock(), *self._grouping)
         self._cameras = unused.cameras
 
     @property
@@ -154,7 +165,7 @@ class LogSource:
         self._session.warn(self._session.set_doubts)
         held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
-        self._session.synchronizer(bus, clock, self._parameters, self._joint_names).configure()
+        self._session.synchronizer(bus, clock, *self._grouping).configure()
         ready: list[FrameSet] = []
         bus.subscribe(FRAMES, ready.append)
         for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):

@@ -66,6 +66,10 @@ class CameraClock:
         """Whether the offset is more than what it may be wrong by (2 sigma)."""
         return abs(self.offset_ns) > 2 * self.sigma_ns
 
+    def ahead_of(self, shift_ns: int) -> CameraClock:
+        """The clock of a camera whose stamps were taken to be `shift_ns` earlier than they are, when this was found."""
+        return replace(self, offset_ns=self.offset_ns - shift_ns, reference_ns=self.reference_ns + shift_ns)
+
     def applied(self, camera: RigCamera) -> RigCamera:
         """A camera whose clock is corrected by this, beside what corrected its stamps already."""
         rate = 0.0 if self.rate_ppm is None or self.rate_sigma_ppm is None else self.rate_ppm
