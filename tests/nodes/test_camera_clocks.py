@@ -88,10 +88,12 @@ def test_joints_that_are_stamped_by_another_clock_than_images_are_told(
         assert all("joints on /joint_states are stamped" in line for line in session.set_doubts)
 
 
-def write_apart(path: Path, off_s: dict[str, float], recorded: str = "when taken", late_s: float = 0.0) -> None:
+def write_apart(
+    path: Path, off_s: dict[str, float], recorded: str = "when taken", late_s: float = 0.0, unstamped: str = ""
+) -> None:
     """Two seconds of three cameras, each with a clock of its own; `late_s`: when the camera "c" begins.
 
-    `recorded`: at which times of the log.
+    `recorded`: at which times of the log; `unstamped`: cameras whose stamps are 0.
     """
     K = np.array([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]])
     poses = [pose(np.eye(3), np.array([x, 0, -1])) for x in (0.0, 0.5, 1.0)]
@@ -105,7 +107,7 @@ def write_apart(path: Path, off_s: dict[str, float], recorded: str = "when taken
             true = START + i * 200_000_000
             stored = {"when taken": true, "at once": START, "an hour early": true - 3_600_000_000_000}[recorded]
             for name in "abc"[: 3 if true >= START + late_s * 1e9 else 2]:
-                stamp = true + round(off_s.get(name, 0.0) * 1e9)
+                stamp = 0 if name in unstamped else true + round(off_s.get(name, 0.0) * 1e9)
                 writer.write(f"/{name}/image_raw/compressed", compressed_image(name, stamp, image), stored)
 
 
@@ -129,7 +131,7 @@ def test_a_camera_by_another_clock_is_told_and_takes_no_set_from_the_others(
     """
     write_apart(tmp_path / "log.mcap", off_s, recorded)
     with LogSession(tmp_path / "log.mcap") as session:
-        assert session.clocks_apart == {name: round(s * 1e9) for name, s in told.items()}
+        assert session.clocks.apart == {name: round(s * 1e9) for name, s in told.items()}
         starts = [f"camera '{name}': images are stamped {abs(s):.3f} s" for name, s in told.items()]
         lines = [line for line in session.camera_doubts if "by another clock" in line]
         assert [line.startswith(start) for start, line in zip(starts, lines, strict=True)] == [True] * len(told)
@@ -147,7 +149,7 @@ def test_a_camera_by_another_clock_is_told_and_takes_no_set_from_the_others(
     offsets = {camera.name: round(-off_s.get(camera.name, 0.0) * 1e9) for camera in rig.cameras}
     mended = tuple(replace(camera, time_offset_ns=offsets[camera.name]) for camera in rig.cameras)
     with LogSession(tmp_path / "log.mcap", Rig(mended, None)) as session:
-        assert session.clocks_apart == {}
+        assert session.clocks.apart == {}
         assert [len(frames.views) for frames in LogSource(session, SynchronizerParameters())][1:-1] == [3] * 8
 
 
@@ -157,6 +159,18 @@ def test_cameras_by_one_clock_are_not_told_whenever_they_come_and_are_recorded(
 ) -> None:
     write_apart(tmp_path / "log.mcap", {}, recorded, late_s)
     with LogSession(tmp_path / "log.mcap") as session:
-        assert session.clocks_apart == {}
+        assert session.clocks.apart == {}
         sets = list(LogSource(session, SynchronizerParameters()))
     assert len(sets) >= 8 and len(sets[-2].views) == 3
+
+
+@pytest.mark.parametrize("unstamped", ["b", "abc"])
+def test_cameras_without_stamps_are_told(tmp_path: Path, unstamped: str) -> None:
+    """Of a driver that leaves them out, images were said to lie too far from the others', or to be a simulator's."""
+    write_apart(tmp_path / "log.mcap", {}, unstamped=unstamped)
+    with LogSession(tmp_path / "log.mcap") as session:
+        assert session.clocks.apart == {}
+        lines = [line for line in session.doubts if "header.stamp is 0" in line]
+        assert [line.split("'")[1] for line in lines] == list(unstamped)
+        assert not any("another clock" in line for line in session.doubts)
+        assert [name for name in "abc" if name not in session.expected] == list(unstamped)

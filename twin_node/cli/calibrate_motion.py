@@ -165,7 +165,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     source = LogSource(session, parameters, arm.joint_names if arm else (), takes_all=True)
     sets = tqdm(source, unit="set", desc="time", disable=None)
     result = calibrate_clocks(source.cameras, sets, arm, options.max_offset)
-    clocks = tuple(clock.ahead_of(session.clocks_apart.get(clock.name, 0)) for clock in result.cameras)
+    clocks = tuple(clock.ahead_of(session.clocks.apart.get(clock.name, 0)) for clock in result.cameras)
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"
         + ("" if clock.certain else ", not more than it may be wrong by: left as it is")

@@ -11,7 +11,7 @@ from twin_node.bag import LogReader, open_log
 from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_clocks import apart_doubts, by_one_clock, clock_doubts, clocks_apart, joint_clock_doubts
+from twin_node.nodes.log_clocks import LogClocks
 from twin_node.nodes.log_doubts import base_doubts, joint_doubts, joints_told, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import check_types, renamed
@@ -55,19 +55,16 @@ class LogSession:
             self.cameras: tuple[CameraTopics, ...] = tuple(c for c in cameras.found if found.has(c.name))
             """Those of the rig."""
             self.span: Span = span_of(self.log, start_offset_s, duration_s)
-            self.clocks_apart = clocks_apart(self.log, looked_through, self.rig, self.span)
-            """Cameras that another clock than the others' stamps, which are in no set, and how far it is ahead, ns."""
-            timed = next(camera for camera in looked_through if camera.name not in self.clocks_apart)
-            of_clock = clock_doubts(self.log, timed, self.rig)
-            of_joints = (*joint_doubts(names), *joint_clock_doubts(self.log, names, timed, self.rig))
+            self.clocks = LogClocks(self.log, looked_through, self.rig, self.span)
+            of_joints = (*joint_doubts(names), *self.clocks.joint_doubts(names.original(JOINT_STATES)))
             of_base = base_doubts(self.log, names) if rig_file is None else ()
             of_places = rig_doubts(looked_through, self.rig)
-            self.camera_doubts = (*cameras.unused, *found.left_out, *of_places, *apart_doubts(self.clocks_apart))
+            self.camera_doubts = (*cameras.unused, *found.left_out, *of_places, *self.clocks.camera_doubts())
             """What of the cameras may not be meant as it is taken, a line each."""
             unread = (f"not read: {line}" for line in self.log.left_out)
             self.set_doubts = (*unread, *self.camera_doubts, *of_joints, *of_base)
             """The same of all that sets are made of."""
-            self.doubts: tuple[str, ...] = (*self.set_doubts, *of_clock)
+            self.doubts: tuple[str, ...] = (*self.set_doubts, *self.clocks.image_doubts())
             """The same for an arm that is to go by it."""
         except BaseException:
             self.log.close()
@@ -81,7 +78,7 @@ class LogSession:
     @property
     def expected(self) -> tuple[str, ...]:
         """Names of the cameras that sets can have images of."""
-        return tuple(camera.name for camera in self.rig.cameras if camera.name not in self.clocks_apart)
+        return tuple(camera.name for camera in self.rig.cameras if camera.name not in self.clocks.strangers)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """In another process: opened there."""
@@ -111,8 +108,7 @@ class LogSession:
 
         `takes_all`: those by another clock too, taken to be as old as the others' that were recorded with them.
         """
-        apart = {} if takes_all else self.clocks_apart
-        rig = by_one_clock(self.rig, self.clocks_apart) if takes_all else self.rig
+        rig, apart = (self.clocks.by_one_clock(self.rig), {}) if takes_all else (self.rig, self.clocks.apart)
         return SynchronizerNode(bus, clock, self.cameras, rig, parameters, joint_names=joint_names, clocks_apart=apart)
 
     def expected_hz(self, most_hz: float | None) -> float:
