@@ -63,7 +63,7 @@ class LogClocks:
             seconds, order = abs(ahead_ns) / 1e9, "after" if ahead_ns > 0 else "before"
             yield (
                 f"camera '{name}': images are stamped {seconds:.3f} s {order} the others' that were recorded with "
-                "them, by another clock, and the twin goes without them: let chrony or PTP keep the clocks together, or "
+                "them, by another clock, and the twin goes without them: let chrony or PTP keep the clocks together or "
                 f"give a rig file with a time_offset, {-ahead_ns / 1e9:+.3f} s or what 'twin_node calibrate time' finds"
             )
 
