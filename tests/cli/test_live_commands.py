@@ -49,7 +49,16 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, **own}
 
 
-@pytest.mark.parametrize("command", [["record", "-o", "run.mcap"], ["play", "LOG"], ["doctor"], ["view", "--live"]])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["record", "-o", "run.mcap"],
+        ["play", "LOG"],
+        ["doctor"],
+        ["view", "--live"],
+        ["ur-driver", "--robot", "127.0.0.77"],
+    ],
+)
 def test_a_port_that_another_program_holds_is_told(
     command: list[str],
     cell_log: Callable[..., Path],

@@ -93,6 +93,12 @@ class Ear:
                 return heard[0]
         raise AssertionError(f"nothing that was wanted came on {topic}")
 
+    def step(self, seconds: float) -> None:
+        """Listens for so long."""
+        until = time.monotonic() + seconds
+        while (left_s := until - time.monotonic()) > 0:
+            self._executor.step(left_s)
+
     def __enter__(self) -> Self:
         return self
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 from twin_node.arm import LimiterParameters
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, UrParameters
 from twin_node.bag import LogWriter, open_log
+from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
 from twin_node.messages import convert
@@ -24,9 +26,11 @@ from twin_node.nodes.ur_driver import UrDriverNode
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
+from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.scene import Float64, JointPath, Separation
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
+pytest.importorskip("zenoh")
 
 PATIENCE_S = 60.0
 START_NS = 1_700_000_000_000_000_000
@@ -36,6 +40,13 @@ START_NS = 1_700_000_000_000_000_000
 def stand_in() -> Iterator[StandInProcess]:
     with StandInProcess(StandInParameters(host=free_loopback())) as running:
         yield running
+
+
+@pytest.fixture(autouse=True)
+def own_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands join a graph of the test's own, in which nobody else drives an arm."""
+    own = partial(ZenohParameters, endpoint=free_endpoint(), domain=0)
+    monkeypatch.setattr("twin_node.nodes.live.single.ZenohParameters", own)
 
 
 class Graph:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import re
 import select
 import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twin_node.cli.arguments import positive, whole
 
+if TYPE_CHECKING:
+    from twin_node.runtime.bus import Bus
+    from twin_node.runtime.clock import Clock
+
 _DESCRIPTION = """\
-Drive a UR controller through ur_rtde in a process of its own.
+Drive a UR controller through ur_rtde in a process of its own, as a node of the graph that runs on this machine.
 
   slider     (default) the robot runs its own program; the driver sets the speed slider to the twin's speed fraction and
              beats an input register that the program watches, so that the arm pauses by itself when the beat ends.
@@ -77,7 +82,6 @@ def _run(options: argparse.Namespace) -> None:
     from twin_node.nodes.recorder import RecorderNode
     from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, SEPARATION, TRAJECTORY
     from twin_node.nodes.ur_driver import UrDriverNode
-    from twin_node.runtime.bus import LocalBus
 
     if options.output is not None and options.output.exists():
         raise ArmError(f"-o {options.output}: exists already; remove it or choose another name")
@@ -92,18 +96,18 @@ def _run(options: argparse.Namespace) -> None:
         resumes=options.resume,
         plays=options.play,
     )
-    bus = LocalBus()
     with contextlib.ExitStack() as stack:
-        pace = _Pace(options.decisions, bus, options.duration, stack)
+        pace: _Pace = _GraphPace(stack) if options.decisions is None else _LogPace(options.decisions, stack)
+        pace.last(options.duration)
         for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
             signal.signal(number, pace.end)
         if options.output is not None:
             log = stack.enter_context(LogWriter(options.output, recorded=True))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
-            recorder = RecorderNode(bus, pace.clock, log, topics)
+            recorder = RecorderNode(pace.recorder_bus, pace.clock, log, topics)
             recorder.configure()
             recorder.activate()
-        node = UrDriverNode(bus, pace.clock, parameters)
+        node = UrDriverNode(pace.bus, pace.clock, parameters)
         node.configure()
         node.activate()
         stack.callback(node.deactivate)
@@ -113,24 +117,23 @@ def _run(options: argparse.Namespace) -> None:
 
 
 class _Pace:
-    """Lets time pass: steps through a log's decisions in real time, or waits."""
+    """Lets time pass for the driver's node, until it is up."""
 
-    def __init__(self, decisions: Path | None, bus: Any, duration_s: float | None, stack: contextlib.ExitStack) -> None:
+    bus: Bus
+    recorder_bus: Bus
+    """The bus of who records what the driver says and hears."""
+    clock: Clock
+
+    def __init__(self) -> None:
         from twin_node.nodes.ur_driver import TICK_S
-        from twin_node.runtime.clock import PacedClock
 
         self._tick_s = TICK_S
-        self._until = None if duration_s is None else time.monotonic() + duration_s
-        self._is_started = False
+        self._until = math.inf
         self._is_ended = False
-        if decisions is None:
-            self.clock, self._steps = PacedClock(time.time_ns(), 1.0), iter(())
-            self._is_waiting_for_arm = False
-        else:
-            player, start_ns = _player(decisions, bus, stack)
-            self.clock = PacedClock(start_ns, 1.0)
-            self._steps = player.steps(self.clock, TICK_S)
-            self._is_waiting_for_arm = True
+
+    def last(self, duration_s: float | None) -> None:
+        """Let time be up so many seconds from now; None: never."""
+        self._until = math.inf if duration_s is None else time.monotonic() + duration_s
 
     def end(self, *_: object) -> None:
         """Let time be up, as a handler of signals; the next SIGINT waits for nothing."""
@@ -138,13 +141,58 @@ class _Pace:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def step(self, is_ready: bool) -> bool:
-        """Wait for the next moment; a log begins when the arm is ready. False when time is up."""
-        if not self._is_started and (is_ready or not self._is_waiting_for_arm):
-            self.clock.start()
+        """Wait for the next moment; `is_ready`: whether the arm is. False when time is up."""
+        self._wait(is_ready)
+        return not self._is_ended and time.monotonic() < self._until
+
+    def _wait(self, is_ready: bool) -> None:
+        raise NotImplementedError
+
+
+class _GraphPace(_Pace):
+    """Hears the graph, by the time of day."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        from twin_node.nodes.live.single import open_wire
+        from twin_node.nodes.topics import kind_of
+        from twin_node.nodes.ur_driver import DRIVER
+        from twin_node.runtime.clock import SystemClock
+        from twin_node.runtime.executor import Executor
+        from twin_node.runtime.wire_bus import WireBus
+
+        super().__init__()
+        wire = stack.enter_context(open_wire(sole=DRIVER))
+        self._executor, self.clock = Executor(), SystemClock()
+        self.bus = WireBus(wire, self._executor, DRIVER, kind_of)
+        # Under another name: by what the driver's node listens to, others know how it drives.
+        self.recorder_bus = WireBus(wire, self._executor, f"{DRIVER}_recorder", kind_of)
+
+    def _wait(self, is_ready: bool) -> None:
+        until = time.monotonic() + self._tick_s
+        while not self._is_ended and (left_s := until - time.monotonic()) > 0:
+            self._executor.step(left_s)
+
+
+class _LogPace(_Pace):
+    """Steps through a log's decisions in real time, from when the arm is ready."""
+
+    def __init__(self, decisions: Path, stack: contextlib.ExitStack) -> None:
+        from twin_node.runtime.bus import LocalBus
+        from twin_node.runtime.clock import PacedClock
+
+        super().__init__()
+        self.bus = self.recorder_bus = LocalBus()
+        player, start_ns = _player(decisions, self.bus, stack)
+        self._is_started = False
+        self.clock = self._paced = PacedClock(start_ns, 1.0)
+        self._steps = player.steps(self.clock, self._tick_s)
+
+    def _wait(self, is_ready: bool) -> None:
+        if not self._is_started and is_ready:
+            self._paced.start()
             self._is_started = True
         if not self._is_started or next(self._steps, None) is None:
             time.sleep(self._tick_s)
-        return not self._is_ended and (self._until is None or time.monotonic() < self._until)
 
 
 def _player(decisions: Path, bus: Any, stack: contextlib.ExitStack) -> Any:

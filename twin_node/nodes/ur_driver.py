@@ -14,6 +14,8 @@ from twin_node.runtime.clock import Clock, ahead_of_monotonic
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.scene import NO_EVIDENCE, JointPath, JointSample
 
+DRIVER = "ur_driver"
+"""Name of the driver's node and of its section."""
 TICK_S = 0.02
 """How often `tick` is to be called, s: the driver reports at 50 Hz."""
 
@@ -36,7 +38,7 @@ class UrDriverNode(Node):
     """
 
     def __init__(self, bus: Bus, clock: Clock, parameters: UrParameters) -> None:
-        super().__init__("ur_driver", bus, clock)
+        super().__init__(DRIVER, bus, clock)
         self._parameters = parameters
         self._joint_names = parameters.arm().joint_names
         self._driver: SupervisedDriver | None = None

@@ -13,14 +13,12 @@ from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
+from twin_node.nodes.ur_driver import DRIVER
 from twin_node.robot import UR_NAMES
 from twin_node.robot.arms import AIRO
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import values_of
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
-
-DRIVER = "ur_driver"
-"""Name of the driver's node and of its section."""
 
 
 def make_synchronizer(setup: Setup) -> Node:

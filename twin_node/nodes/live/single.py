@@ -11,9 +11,10 @@ from typing import Any
 from twin_node.messages import convert
 from twin_node.nodes.launch.kinds import find_factory
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import CLOCK, kind_of, kind_of_own
+from twin_node.nodes.topics import CLOCK, GraphError, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import Sections
 from twin_node.runtime.wire import Encoded
@@ -38,24 +39,37 @@ class _GraphTime:
 
 
 @contextlib.contextmanager
-def open_wire(parameters: ZenohParameters | None = None) -> Iterator[ZenohWire]:
+def open_wire(parameters: ZenohParameters | None = None, sole: str = "") -> Iterator[ZenohWire]:
     """This process's end of the network, with a router where there is none yet.
 
+    `sole`: a node of this process of which a graph may have but one; launches and others hear of it.
+
     Raises `WireError` where neither one can be started nor one answers: whoever went on would be alone, and not know.
+    Raises `GraphError` where the sole node is alive already.
     """
     parameters = parameters or ZenohParameters()
     router = open_router(parameters)
     if router is None:
         open_client(parameters).close()
-    try:
-        wire = ZenohWire(parameters)
-        try:
-            yield wire
-        finally:
-            wire.close()
-    finally:
+    with contextlib.ExitStack() as stack:
         if router is not None:
-            router.close()
+            stack.callback(router.close)
+        if sole:
+            stack.enter_context(_claimed(parameters, sole))
+        wire = ZenohWire(parameters)
+        stack.callback(wire.close)
+        yield wire
+
+
+def _claimed(parameters: ZenohParameters, node: str) -> NodeNames:
+    names = NodeNames(parameters, [node])
+    if names.taken() is None:
+        return names
+    names.close()
+    raise GraphError(
+        f"node '{node}' is alive already in ROS domain {parameters.domain_id}; end that one, or set ROS_DOMAIN_ID to "
+        "another number for this one"
+    )
 
 
 def run_single(
