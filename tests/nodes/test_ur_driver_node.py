@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from twin_node.arm import LimiterParameters
-from twin_node.arm.ur import DriverMode, DriverReport, DriverState, UrParameters
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, UrParameters
 from twin_node.bag import LogWriter, open_log
 from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
@@ -244,3 +244,29 @@ def test_diagnostics_go_on_when_the_computers_clock_is_put_back(monkeypatch: pyt
         passed_s[0] += 0.5
         node.tick()
     assert len(heard) == 3
+
+
+def test_who_launched_the_driver_is_told_why_the_arm_stands_and_when_it_may_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A launch said nothing of a halt that waited for somebody, or of a controller that was not there."""
+    said: list[str] = []
+    node = UrDriverNode(LocalBus(), SteppedClock(START_NS), UrParameters(), said.append)
+    halt = Halt("no forecast")
+    reports = [
+        (0, DriverReport(0, DriverState.CONNECTING, "connecting")),
+        (1, DriverReport(0, DriverState.LOST, "no controller")),  # it may be about to begin
+        (3, DriverReport(0, DriverState.CONNECTING, "connecting")),
+        (5, DriverReport(0, DriverState.LOST, "no controller")),
+        (6, DriverReport(0, DriverState.LOST, "no controller")),
+        (7, DriverReport(0, DriverState.READY, "stopped: no forecast yet")),
+        (8, DriverReport(0, DriverState.READY, "clear")),
+        (9, DriverReport(0, DriverState.HALTED, "stopped: no forecast for 141 ms", halt=halt)),
+        (10, DriverReport(0, DriverState.HALTED, "stopped: no forecast for 161 ms", halt=halt)),
+        (11, DriverReport(0, DriverState.LOST, "connection lost")),
+        (12, DriverReport(0, DriverState.READY, "clear")),
+    ]
+    for passed_s, report in reports:
+        monkeypatch.setattr(time, "monotonic_ns", lambda passed_s=passed_s: passed_s * 1_000_000_000)
+        monkeypatch.setattr(node, "_driver", SimpleNamespace(latest=report))
+        node.tick()
+    halted = "halted: stopped: no forecast for 141 ms; it waits for /arm/acknowledge"
+    assert said == ["lost: no controller", "ready again", halted, "ready again"]

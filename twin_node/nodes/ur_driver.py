@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from twin_node.arm.ur import DriverMode, DriverReport, DriverState, SupervisedDriver, UrParameters
+from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, SupervisedDriver, UrParameters
 from twin_node.messages import Message, convert
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
 from twin_node.runtime.bus import Bus
@@ -28,6 +30,8 @@ _LEVELS = {
     DriverState.HALTED: convert.Level.ERROR,
     DriverState.LOST: convert.Level.STALE,
 }
+_BEGINS_NS = 3_000_000_000
+"""A controller that is begun with the driver, or anew, is there by then: its absence is told afterwards."""
 
 
 class UrDriverNode(Node):
@@ -37,8 +41,15 @@ class UrDriverNode(Node):
     `/joint_states`, `/arm/trajectory` and `/diagnostics`. Deactivating it stops the arm.
     """
 
-    def __init__(self, bus: Bus, clock: Clock, parameters: UrParameters) -> None:
+    def __init__(
+        self, bus: Bus, clock: Clock, parameters: UrParameters, say: Callable[[str], None] = lambda line: None
+    ) -> None:
+        """`say(line)` tells the user why the arm stands whatever is decided, and that it no longer does."""
         super().__init__(DRIVER, bus, clock)
+        self._say = say
+        self._said = ""
+        """What was last said, without its numbers, which go on changing."""
+        self._lost_since: int | None = None
         self._parameters = parameters
         self._joint_names = parameters.arm().joint_names
         self._driver: SupervisedDriver | None = None
@@ -74,11 +85,37 @@ class UrDriverNode(Node):
         if report.stamp > self._seen:
             self._seen = report.stamp
             self._publish_arm(report, ahead_of_monotonic(self.clock))
+        self._tell(report, passed)
         told = self._told
         is_news = told is None or (told.state, told.refusal) != (report.state, report.refusal)
         if is_news or passed >= self._next:
             self._told, self._next = report, passed + _DIAGNOSTICS_NS
             self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(now, [self._diagnosis(report)]))
+
+    def _tell(self, report: DriverReport, passed: int) -> None:
+        """Says why the arm stands whatever is decided, once, at a time of the monotonic clock, ns."""
+        if report.state is DriverState.CONNECTING:
+            return
+        if report.state is not DriverState.LOST:
+            self._lost_since = None
+        elif self._lost_since is None:
+            self._lost_since = passed
+        if report.state is DriverState.READY:
+            line, words = "ready again", ""
+        elif self._lost_since is None or passed - self._lost_since > _BEGINS_NS:
+            waits = report.halt is not None and self._waits(report.halt)
+            line = f"{report.state.value}: {report.reason}" + (f"; it waits for {ACKNOWLEDGE}" if waits else "")
+            words = re.sub(r"\d+", "", line)
+        else:
+            return
+        if words != self._said:
+            self._said = words
+            self._say(line)
+
+    def _waits(self, halt: Halt) -> bool:
+        """Whether a halt lasts until somebody acknowledges it."""
+        is_driven = self._parameters.mode is not DriverMode.READ_ONLY
+        return is_driven and (halt.is_safety or not self._parameters.resumes)
 
     def _publish_arm(self, report: DriverReport, offset: int) -> None:
         """Joints and their future; `offset` (ns) leads from the driver's clock to the graph's."""

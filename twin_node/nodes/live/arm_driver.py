@@ -10,6 +10,6 @@ from twin_node.runtime.node import Node
 
 def make_ur_driver(setup: Setup) -> Node:
     """The driver of the arm that its parameters name."""
-    node = UrDriverNode(setup.bus, setup.clock, setup.parameters(UrParameters))
+    node = UrDriverNode(setup.bus, setup.clock, setup.parameters(UrParameters), setup.say)
     setup.timers.every(TICK_S, node.tick)
     return node
