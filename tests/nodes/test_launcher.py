@@ -16,6 +16,7 @@ from twin_node.nodes.launch import launcher as launcher_module
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.launch.launcher import FIRST_STATUS, HANGS_S, LOADS_S, RESTARTS_ALLOWED, STEP_S, Launcher
 from twin_node.nodes.launch.order import Order
+from twin_node.nodes.topics import GraphError
 from twin_node.runtime.zenoh_session import ZenohParameters
 
 ENOUGH = 20
@@ -68,6 +69,21 @@ def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Laun
         return Launcher(read_launch_file(tmp_path / "test.yaml"), tmp_path, say)
 
     return make
+
+
+@pytest.mark.parametrize(
+    ("processes", "alone"),
+    [
+        ("eyes: {nodes: [synchronizer]}, model: {nodes: [twin]}", "eyes.*'synchronizer'"),
+        ("model: {nodes: [twin, arm]}", "model.*'twin'"),
+    ],
+)
+def test_a_twin_apart_from_its_synchronizer_is_refused(
+    begin: Callable[..., Launcher], processes: str, alone: str
+) -> None:
+    """It was active, and heard of no image: sets do not leave their process."""
+    with pytest.raises(GraphError, match=f"process '{alone} without .*; write nodes: .synchronizer, twin."):
+        begin(Process, print, processes).run()
 
 
 def test_a_spare_that_dies_again_and_again_is_given_up_and_the_launch_goes_on(begin: Callable[..., Launcher]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -48,6 +48,9 @@ SHARED = {"rig", "use_sim_time"}
 SOURCES = ("cameras", "player", "recorder", "ur_driver", "ur_sim")
 """Nodes that a jump in time does not concern: they go by a clock that has none, or only write down what comes."""
 
+TOGETHER = ("synchronizer", "twin")
+"""Nodes that only have a meaning in one process: sets of images, and all else that has no type, do not leave it."""
+
 IN_LOCKSTEP = ("player", "synchronizer", "twin", "arm", "recorder")
 """Nodes that a launch in lockstep stands for."""
 
@@ -71,6 +74,17 @@ WITHOUT_PARAMETERS = ("twin", "viewer_topics")
 def check_kind(name: str, where: str) -> None:
     """Raises `GraphError` for a name that no node has, with the nearest one."""
     _check_known(name, {*KINDS, *_foreign()}, where)
+
+
+def check_together(nodes: Sequence[str], where: str) -> None:
+    """Raises `GraphError` for nodes of one process that want for another one there; those of another package may do."""
+    held = [node for node in TOGETHER if node in nodes]
+    missing = [node for node in TOGETHER if node not in nodes]
+    if held and missing and not any(map(is_foreign, nodes)):
+        raise GraphError(
+            f"{where}: found node '{held[0]}' without '{missing[0]}': the sets of images that go between them do not "
+            f"leave their process; write nodes: [{', '.join(TOGETHER)}]"
+        )
 
 
 def check_section(name: str, values: Mapping[str, Any], where: str) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from twin_node.nodes.launch.child import Child
 from twin_node.nodes.launch.host import REFUSED
+from twin_node.nodes.launch.kinds import check_together
 from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.topics import GraphError
@@ -121,6 +122,8 @@ class Launcher:
         refuses has failed like any other), or a node of the same name is alive already. Raises `WireError` where the
         network cannot be joined.
         """
+        for process in () if self._plan.is_lockstep else self._processes():
+            check_together(process.nodes, f"{self._plan.path}: process '{process.name}'")
         try:
             self._log_folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
