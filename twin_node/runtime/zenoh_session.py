@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 from dataclasses import dataclass
@@ -152,8 +153,24 @@ def _session_config(parameters: ZenohParameters) -> Any:
 
 
 def _router_config(parameters: ZenohParameters) -> Any:
+    """One that listens on an address of the network is found by the commands of its own machine, too.
+
+    Where another router has that place already, it keeps it.
+    """
     joined = [router for router in parameters.routers if router]
-    return _config({"mode": "router", "listen/endpoints": [parameters.endpoint], "connect/endpoints": joined})
+    own = [f"{ROUTER_ENDPOINT}#exit_on_failure=false"] if _is_of_network(parameters.endpoint) else []
+    listened = [parameters.endpoint, *own]
+    return _config({"mode": "router", "listen/endpoints": listened, "connect/endpoints": joined})
+
+
+def _is_of_network(endpoint: str) -> bool:
+    """Whether others than this host reach an address."""
+    protocol, _, address = endpoint.partition("/")
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        return protocol == "tcp" and not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return protocol == "tcp" and host != "localhost"
 
 
 def _config(settings: dict[str, Any]) -> Any:

@@ -1,0 +1,52 @@
+"""Where routers listen."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+
+from twin_node.bench.graph_run import free_endpoint
+from twin_node.runtime import zenoh_session
+from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_client, open_router
+
+pytest.importorskip("zenoh")
+
+
+@pytest.fixture
+def usual(monkeypatch: pytest.MonkeyPatch) -> ZenohParameters:
+    """Where commands look for a router that are told nothing, at an address of the test's own."""
+    endpoint = free_endpoint()
+    monkeypatch.setattr(zenoh_session, "ROUTER_ENDPOINT", endpoint)
+    return ZenohParameters(router="builtin", endpoint=endpoint, domain=0)
+
+
+def of_network() -> ZenohParameters:
+    return ZenohParameters(router="builtin", endpoint=free_endpoint().replace("127.0.0.1", "0.0.0.0"), domain=0)
+
+
+def test_a_graph_that_is_open_to_the_network_is_found_by_the_commands_of_its_machine(usual: ZenohParameters) -> None:
+    """`record`, `play` and `doctor` beside a launch of two_machines.yaml were alone, each with a router of its own."""
+    router = open_router(of_network())
+    assert router is not None
+    with contextlib.closing(router), contextlib.closing(open_client(usual)) as command:
+        assert command.info.routers_zid() == [router.info.zid()]
+
+
+def test_it_leaves_that_place_to_a_router_that_has_it(usual: ZenohParameters) -> None:
+    first = open_router(usual)
+    assert first is not None
+    with contextlib.closing(first):
+        router = open_router(of_network())
+        assert router is not None
+        with contextlib.closing(router), contextlib.closing(open_client(usual)) as command:
+            assert command.info.routers_zid() == [first.info.zid()]
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_one_on_loopback_listens_where_it_is_told_alone(usual: ZenohParameters, host: str) -> None:
+    elsewhere = ZenohParameters(router="builtin", endpoint=free_endpoint().replace("127.0.0.1", host), domain=0)
+    router = open_router(elsewhere)
+    assert router is not None
+    with contextlib.closing(router), pytest.raises(WireError, match="expected a zenoh router there"):
+        open_client(usual)
