@@ -182,6 +182,24 @@ def test_what_was_recorded_until_the_link_was_lost_is_kept(
         assert {DIAGNOSTICS, JOINT_STATES} <= {topic.name for topic in log.topics}
 
 
+def test_a_second_interrupt_does_not_cost_the_recording(
+    stand_in: StandInProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who presses Ctrl-C twice, as `timeout -s INT` does, lost all of it."""
+    out, deactivate = tmp_path / "arm.mcap", UrDriverNode.deactivate
+
+    def deactivate_and_interrupt(node: UrDriverNode) -> None:
+        deactivate(node)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(UrDriverNode, "deactivate", deactivate_and_interrupt)
+    arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "--duration", "2", "-o", str(out)]
+    assert main(arguments) == 130
+    with open_log(out) as log:
+        assert {DIAGNOSTICS} <= {topic.name for topic in log.topics}
+    assert list(tmp_path.iterdir()) == [out]
+
+
 def test_a_recording_of_an_arm_that_never_was_there_is_not_kept(tmp_path: Path) -> None:
     out = tmp_path / "arm.mcap"
     assert main(["ur-driver", "--robot", free_loopback(), "--no-reconnect", "-o", str(out)]) == 2

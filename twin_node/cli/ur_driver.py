@@ -10,12 +10,14 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin_node.cli.arguments import positive, whole
 
 if TYPE_CHECKING:
+    from twin_node.bag import LogWriter
     from twin_node.runtime.bus import Bus
     from twin_node.runtime.clock import Clock
 
@@ -78,7 +80,6 @@ def add_ur_driver(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> None:
     from twin_node.arm.errors import ArmError
     from twin_node.arm.ur import DriverMode, UrParameters
-    from twin_node.bag import LogWriter
     from twin_node.nodes.recorder import RecorderNode
     from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, SEPARATION, TRAJECTORY
     from twin_node.nodes.ur_driver import UrDriverNode
@@ -102,7 +103,7 @@ def _run(options: argparse.Namespace) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
             signal.signal(number, pace.end)
         if options.output is not None:
-            log = stack.enter_context(LogWriter(options.output, recorded=True))
+            log = stack.enter_context(_recording(options.output))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
             recorder = RecorderNode(pace.recorder_bus, pace.clock, log, topics)
             recorder.configure()
@@ -114,6 +115,19 @@ def _run(options: argparse.Namespace) -> None:
         lost = _watch(node, pace, is_ending_when_lost=options.no_reconnect)
     if lost is not None:
         raise ArmError(lost)
+
+
+@contextlib.contextmanager
+def _recording(path: Path) -> Iterator[LogWriter]:
+    """A log of what happens once: it is kept when somebody is too impatient to wait for the driver's end."""
+    from twin_node.bag import LogWriter
+
+    with LogWriter(path, recorded=True) as log:
+        try:
+            yield log
+        except KeyboardInterrupt:
+            log.close()
+            raise
 
 
 class _Pace:
