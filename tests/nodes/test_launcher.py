@@ -86,6 +86,19 @@ def test_a_twin_apart_from_its_synchronizer_is_refused(
         begin(Process, print, processes).run()
 
 
+def test_a_node_that_a_command_runs_is_not_said_to_be_of_a_launch(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside `twin_node record` a launch with a recorder told to end another launch, which nobody had begun."""
+    monkeypatch.setattr(launcher_module, "open_router", lambda _: None)
+    names = SimpleNamespace(taken=lambda: "recorder", close=lambda: None)
+    monkeypatch.setattr(launcher_module, "NodeNames", lambda *_: names)
+    with pytest.raises(
+        GraphError, match=r"'recorder' is alive already .* by a command of its own \(record, .*; end that"
+    ):
+        begin(Process, print, "write: {nodes: [recorder]}").run()
+
+
 def test_a_spare_that_dies_again_and_again_is_given_up_and_the_launch_goes_on(begin: Callable[..., Launcher]) -> None:
     begun: list[Process] = []
 

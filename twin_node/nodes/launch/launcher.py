@@ -164,8 +164,9 @@ class Launcher:
             return names
         names.close()
         raise GraphError(
-            f"{self._plan.path}: node '{taken}' is alive already in ROS domain {zenoh.domain_id}, in another launch; "
-            "end that, or set ROS_DOMAIN_ID to another number for this one"
+            f"{self._plan.path}: node '{taken}' is alive already in ROS domain {zenoh.domain_id}, in another launch or "
+            "by a command of its own (record, play, view --live, ur-driver); end that, or set ROS_DOMAIN_ID to another "
+            "number for this one"
         )
 
     def _tell_of_foreign_router(self) -> None:
