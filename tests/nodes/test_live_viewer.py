@@ -19,7 +19,16 @@ from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.viewer import make_viewer
 from twin_node.nodes.snapshot import Snapshot
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, JOINT_STATES, OBSTACLES, TF_STATIC, kind_of
+from twin_node.nodes.topics import (
+    DIAGNOSTICS,
+    GAUSSIANS,
+    GAUSSIANS_MOVING,
+    JOINT_STATES,
+    OBSTACLES,
+    SEPARATION,
+    TF_STATIC,
+    kind_of,
+)
 from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
 from twin_node.robot import ur_model
 from twin_node.runtime.executor import Executor
@@ -28,7 +37,7 @@ from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import Encoded, LocalWire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.scene import JointSample, Rig, RigCamera
+from twin_node.scene import JointSample, Rig, RigCamera, Separation
 
 pytest.importorskip("viser")
 
@@ -191,6 +200,30 @@ def test_a_page_that_stands_still_says_so(graph: Graph, monkeypatch: pytest.Monk
     monkeypatch.setattr(graph, "_show", fail)
     graph.send(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START))
     graph.until(lambda: "drawing has failed" in graph.node.diagnoses()[0].message)
+
+
+def test_a_halted_driver_is_told_beside_the_decision_that_it_does_not_follow(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page said "Speed 100 %, clear" of an arm that stood and waited for somebody."""
+    told: list[str | None] = []
+    monkeypatch.setattr(graph.page, "tell", told.append)
+
+    def say(level: convert.Level, stamp: int) -> None:
+        found = convert.Diagnosis("ur_driver: arm", level, "safety mode PROTECTIVE_STOP")
+        others = convert.Diagnosis("recorder: log", convert.Level.ERROR, "the disk is full")
+        graph.send(DIAGNOSTICS, convert.diagnostics_to_message(stamp, [others, found]), stamp)
+        clear = Separation.without_pair(stamp, stamp, 1.0, "clear")
+        graph.send(SEPARATION, convert.separation_to_message(clear), stamp)
+
+    say(convert.Level.ERROR, START)
+    graph.until(lambda: "the arm stands, its driver says: safety mode PROTECTIVE_STOP" in told)
+    say(convert.Level.OK, START + PERIOD)
+    graph.until(lambda: told[-1] is None)
+    say(convert.Level.ERROR, START + 2 * PERIOD)
+    graph.until(lambda: told[-1] is not None)
+    graph.clock.stamp += 5_000_000_000  # it says no more
+    graph.until(lambda: told[-1] is None)
 
 
 def test_silence_is_told(graph: Graph) -> None:

@@ -18,6 +18,8 @@ from twin_node.scene import NO_EVIDENCE, JointPath, JointSample
 
 DRIVER = "ur_driver"
 """Name of the driver's node and of its section."""
+DRIVEN_ARM = f"{DRIVER}: arm"
+"""Name of what the driver says of the arm in `/diagnostics`."""
 TICK_S = 0.02
 """How often `tick` is to be called, s: the driver reports at 50 Hz."""
 
@@ -133,9 +135,8 @@ class UrDriverNode(Node):
         readings = [convert.Reading("state", report.state.value), convert.Reading("speed_fraction", fraction)]
         if report.refusal is not None:
             readings.append(convert.Reading("refused", report.refusal))
-        return convert.Diagnosis(
-            "ur_driver: arm", _LEVELS[report.state], report.reason, tuple(readings), self._parameters.robot
-        )
+        level, robot = _LEVELS[report.state], self._parameters.robot
+        return convert.Diagnosis(DRIVEN_ARM, level, report.reason, tuple(readings), robot)
 
     def _on_separation(self, message: Message) -> None:
         if self._driver is None or self.state is not LifecycleState.ACTIVE:

@@ -13,6 +13,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.snapshot import Said, Snapshot
 from twin_node.nodes.topics import (
+    DIAGNOSTICS,
     GAUSSIANS,
     GAUSSIANS_MOVING,
     JOINT_STATES,
@@ -21,6 +22,7 @@ from twin_node.nodes.topics import (
     TRAJECTORY,
     CameraTopics,
 )
+from twin_node.nodes.ur_driver import DRIVEN_ARM
 from twin_node.nodes.viewer.page import CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
@@ -37,6 +39,8 @@ FRAME_S = 0.05
 """Shortest time between two pictures, s: what people see as motion, at a cost that the twin does not feel."""
 STILL_S = 1.0
 """Longest time between two pictures while somebody watches, s: what is out of force, or silent, is seen to be so."""
+DRIVER_SPEAKS_NS = 3_000_000_000
+"""What a driver has said is true no longer than this, ns: it speaks once a second."""
 LOOK_S = 0.5
 """How often cameras are looked for that are not there yet, s."""
 REMEMBERED_NS = {
@@ -114,6 +118,8 @@ class ViewerNode(Node):
         self._past: dict[str, tuple[Said, ...]] = {}
         self._now = 0
         self._problem: str | None = None
+        self._driver: tuple[int, convert.Diagnosis] | None = None
+        """What the arm's driver said last, and when, ns."""
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -122,6 +128,7 @@ class ViewerNode(Node):
         self._page = self._open_page()
         for topic in (*OF_THE_TWIN, SEPARATION, JOINT_STATES, TRAJECTORY):
             self._wire_bus.subscribe_raw(topic, partial(self._keep, topic))
+        self._wire_bus.subscribe(DIAGNOSTICS, self._on_diagnostics)
         self._look_for_cameras()
         self._timers.every(LOOK_S, self._look_for_cameras)
 
@@ -157,6 +164,18 @@ class ViewerNode(Node):
             if camera.image not in self._images:
                 self._images.add(camera.image)
                 self._wire_bus.subscribe_raw(camera.image, partial(self._keep, camera.image))
+
+    def _on_diagnostics(self, message: Message) -> None:
+        for found in convert.diagnostics_from_message(message):
+            if found.name == DRIVEN_ARM:
+                self._driver = self.clock.now(), found
+
+    def _standing(self, now: int) -> str | None:
+        """Why the arm's driver lets it stand, whatever is decided; None where it does not."""
+        if self._driver is None or not 0 <= now - self._driver[0] <= DRIVER_SPEAKS_NS:
+            return None
+        found = self._driver[1]
+        return None if found.level is convert.Level.OK else f"the arm stands, its driver says: {found.message}"
 
     def _keep(self, topic: str, message: Encoded) -> None:
         now = self.clock.now()
@@ -198,4 +217,4 @@ class ViewerNode(Node):
             self._problem = None
         except TwinError as error:  # of one message: the next may be sound, and the page says what was wrong
             self._problem = str(error)
-        self._page.tell(self._problem)
+        self._page.tell("; ".join(filter(None, (self._standing(now), self._problem))) or None)
