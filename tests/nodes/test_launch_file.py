@@ -96,7 +96,7 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("  processes:", "  proceses:", "unknown key 'proceses'; did you mean 'processes'"),
         ("launch:", "lunch:", "has no section 'launch'"),
         ("launch:", "launch: 5\nelsewhere:", "launch: expected keys and values, found 5"),
-        ("$(var rate)", "$(var ratio)", "no such argument; did you mean 'rate'"),
+        ("$(var rate)", "$(var ratio)", r"small.yaml: .*ratio.*: no such argument; did you mean 'rate'"),
         ("nodes: [player]", "nodes: []", "expected a list of nodes"),
         ("\nplayer:", "\nsynchroniser:", "unknown node 'synchroniser'"),
         ("{nodes: [player]", "{nodes: [player", "cannot be read as YAML"),

@@ -128,7 +128,7 @@ def find_factory(name: str) -> Callable[[Any], Any]:
 def nearest(name: str, known: set[str]) -> str:
     """What was probably meant, or all that could have been."""
     near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known))}"
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(sorted(known)) or 'none'}"
 
 
 def _check_known(name: str, known: set[str], where: str) -> None:

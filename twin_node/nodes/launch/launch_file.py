@@ -96,7 +96,7 @@ def read_launch_file(
     path = resources.find(path)
     section = _launch_section(path)
     values = _values(_arguments(section, path), given, path)
-    section = _substituted(section, values)
+    section = _substituted(section, values, path)
     entries = _table(section, "processes", path)
     processes = tuple(
         replace(_process(str(name), entry, path), place=place)
@@ -109,7 +109,7 @@ def read_launch_file(
     is_lockstep = _flag(section, "lockstep", False, f"{path}: {LAUNCH}")
     if is_lockstep:
         _check_lockstep(processes, path)
-    sections = _substituted(read_parameters(path), values)
+    sections = _substituted(read_parameters(path), values, path)
     for file in parameter_files:
         given_here = read_parameters(resources.find(file))
         _check_sections(given_here, str(file), processes)
@@ -248,22 +248,22 @@ def _parsed(text: str, expected: str) -> Any:
         raise GraphError(f"{expected}, found what is no YAML; quote it") from None
 
 
-def _substituted(value: Any, values: Mapping[str, Any]) -> Any:
+def _substituted(value: Any, values: Mapping[str, Any], path: Path) -> Any:
     if isinstance(value, dict):
-        return {key: _substituted(inner, values) for key, inner in value.items()}
+        return {key: _substituted(inner, values, path) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_substituted(inner, values) for inner in value]
+        return [_substituted(inner, values, path) for inner in value]
     if not isinstance(value, str):
         return value
     whole = VARIABLE.fullmatch(value)
     if whole:
-        return _value_of(whole, values)
-    return VARIABLE.sub(lambda match: str(_value_of(match, values)), value)
+        return _value_of(whole, values, path)
+    return VARIABLE.sub(lambda match: str(_value_of(match, values, path)), value)
 
 
-def _value_of(match: re.Match[str], values: Mapping[str, Any]) -> Any:
+def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path) -> Any:
     if match[1] not in values:
-        raise GraphError(f"$(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
+        raise GraphError(f"{path}: $(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
     return values[match[1]]
 
 
