@@ -286,5 +286,5 @@ def test_who_launched_the_driver_is_told_why_the_arm_stands_and_when_it_may_go(m
         monkeypatch.setattr(time, "monotonic_ns", lambda passed_s=passed_s: passed_s * 1_000_000_000)
         monkeypatch.setattr(node, "_driver", SimpleNamespace(latest=report))
         node.tick()
-    halted = "halted: stopped: no forecast for 141 ms; it waits for /arm/acknowledge"
+    halted = "halted: stopped: no forecast for 141 ms; it waits for 'twin_node acknowledge'"
     assert said == ["lost: no controller", "ready again", halted, "ready again"]

@@ -15,7 +15,8 @@ from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
 from twin_node.messages import convert, message_type
-from twin_node.nodes.topics import ACKNOWLEDGE, JOINT_STATES, SEPARATION
+from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, JOINT_STATES, SEPARATION
+from twin_node.nodes.ur_driver import DRIVEN_ARM
 from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.scene import Separation
@@ -76,3 +77,62 @@ def test_a_second_driver_of_a_graph_is_refused(graph: ZenohParameters, refused: 
     with NodeNames(graph, ["ur_driver"]):
         error = refused("ur-driver", "--robot", free_loopback())
     assert "node 'ur_driver' is alive already in ROS domain 0" in error
+
+
+class HaltedDriver(threading.Thread):
+    """Says once in a while that the arm is halted, until somebody acknowledges; `refuses`: and then why it still is."""
+
+    def __init__(self, endpoint: str, state: str, refuses: bool) -> None:
+        super().__init__()
+        self._endpoint, self._state, self._refuses = endpoint, state, refuses
+        self.acknowledged = 0
+        self.ended = threading.Event()
+
+    def run(self) -> None:
+        with Ear(self._endpoint) as ear:
+            ear.bus.subscribe(ACKNOWLEDGE, self._on_acknowledge)
+            while not self.ended.is_set():
+                refused = [convert.Reading("refused", "it still brakes")] * (self._refuses and self.acknowledged > 0)
+                readings = (convert.Reading("state", self._state), *refused)
+                found = convert.Diagnosis(DRIVEN_ARM, convert.Level.ERROR, "no forecast", readings)
+                ear.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(time.time_ns(), [found]))
+                ear.step(0.1)
+
+    def _on_acknowledge(self, _: object) -> None:
+        self.acknowledged += 1
+        if not self._refuses:
+            self._state = "ready"
+
+
+@pytest.mark.parametrize(
+    ("state", "refuses", "status", "orders", "said"),
+    [
+        ("halted", False, 0, 1, "acknowledged what had halted: no forecast; now ready: no forecast"),
+        ("halted", True, 1, 1, "still halted: no forecast; it still brakes"),
+        ("ready", False, 0, 0, "no halt waits for somebody; ready: no forecast"),
+    ],
+)
+def test_a_halt_of_a_launched_driver_is_acknowledged_by_a_command(
+    graph: ZenohParameters,
+    capsys: pytest.CaptureFixture[str],
+    state: str,
+    refuses: bool,
+    status: int,
+    orders: int,
+    said: str,
+) -> None:
+    """Without ROS nothing on the graph could, and a launch had to be begun anew."""
+    driver = HaltedDriver(graph.endpoint, state, refuses)
+    driver.start()
+    try:
+        assert main(["acknowledge"]) == status
+    finally:
+        driver.ended.set()
+        driver.join()
+    captured = capsys.readouterr()
+    assert (captured.out + captured.err).strip() == said
+    assert driver.acknowledged == orders
+
+
+def test_who_acknowledges_where_no_arm_is_driven_is_told(graph: ZenohParameters, refused: Callable[..., str]) -> None:
+    assert "expected the driver of an arm on the graph of this machine" in refused("acknowledge")

@@ -122,6 +122,7 @@ def _throw_output_away() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     # Loaded here, where an interrupt meanwhile ends like one later.
+    from twin_node.cli.acknowledge import add_acknowledge
     from twin_node.cli.bag import add_play, add_record
     from twin_node.cli.bake import add_bake
     from twin_node.cli.bench import add_bench
@@ -146,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     for add in (
         *(add_replay, add_launch, add_record, add_play, add_info, add_check, add_doctor),
         *(add_import, add_demo, add_bench, add_calibrate, add_export, add_render, add_view),
-        *(add_ur_driver, add_ur_sim, add_sim, add_train, add_bake, add_edit),
+        *(add_ur_driver, add_acknowledge, add_ur_sim, add_sim, add_train, add_bake, add_edit),
     ):
         add(commands)
     return parser

@@ -35,8 +35,8 @@ Drive a UR controller through ur_rtde in a process of its own, as a node of the 
              makes it brake there and stay
   read-only  the driver writes nothing
 
-Without forecasts the arm stands. Whatever goes wrong halts it until somebody acknowledges: press Enter, or publish
-/arm/acknowledge. This is not a safety function: the controller's own safety configuration protects people.
+Without forecasts the arm stands. Whatever goes wrong halts it until somebody acknowledges: press Enter, or run
+`twin_node acknowledge`. This is not a safety function: the controller's own safety configuration protects people.
 """
 
 

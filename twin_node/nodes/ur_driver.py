@@ -106,7 +106,8 @@ class UrDriverNode(Node):
             line, words = "ready again", ""
         elif self._lost_since is None or passed - self._lost_since > _BEGINS_NS:
             waits = report.halt is not None and self._waits(report.halt)
-            line = f"{report.state.value}: {report.reason}" + (f"; it waits for {ACKNOWLEDGE}" if waits else "")
+            wanted = "; it waits for 'twin_node acknowledge'" if waits else ""
+            line = f"{report.state.value}: {report.reason}{wanted}"
             words = re.sub(r"\d+", "", line)
         else:
             return

@@ -1,0 +1,35 @@
+"""`twin_node acknowledge`: tells the driver of a live graph's arm that somebody has seen to its halt."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+
+def add_acknowledge(commands: Any) -> None:
+    """Adds `acknowledge` to the subcommands."""
+    parser = commands.add_parser(
+        "acknowledge",
+        help="let an arm go on after a halt, once you have seen to it",
+        description="Acknowledge the halt of the arm's driver on the live graph of this machine, as Enter does where "
+        "ur-driver runs. Look at the cell first: the arm may move at once. Exit status: 0 the arm is not halted, 1 it "
+        "still is.",
+    )
+    parser.set_defaults(run=_acknowledge)
+
+
+def _acknowledge(_: argparse.Namespace) -> int:
+    from twin_node.nodes.live.acknowledging import acknowledge
+    from twin_node.nodes.live.single import open_wire
+
+    with open_wire() as wire:
+        before, after = acknowledge(wire)
+    if not before.is_halted:
+        print(f"no halt waits for somebody; {before}")
+    elif not after.is_halted:
+        print(f"acknowledged what had {before}; now {after}")
+    else:
+        print(f"still {after}; {after.refused or 'what halts it is not over'}", file=sys.stderr)
+        return 1
+    return 0
