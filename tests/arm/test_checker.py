@@ -298,5 +298,38 @@ def test_columns_of_another_length_are_refused(ur5e_checker: ArmCollisionChecker
         ur5e_checker.update(replace(placed, **{name: getattr(placed, name)[:-1]}))
 
 
+@pytest.mark.parametrize(
+    ("name", "shape", "found"),
+    [
+        ("positions", (3, 1), "rows of 3 positions, found 3x1"),
+        ("quats", (3,), "rows of 4 quats, found 3"),
+        ("sizes", (3,), "rows of 3 sizes, found 3"),
+        ("velocities", (3,), "rows of 3 velocities, found 3"),
+        ("kinds", (3, 1), "kinds, one per id, found 3x1"),
+        ("valid_to", (3, 1), "valid_to, one per id, found 3x1"),
+        ("reach_speeds", (3, 1), "finite reach_speeds .*, found 3x1"),
+    ],
+)
+def test_columns_of_another_shape_are_refused_and_the_old_obstacles_stay(
+    ur5e_checker: ArmCollisionChecker, name: str, shape: tuple[int, ...], found: str
+) -> None:
+    """Three diameters of spheres, or three speeds, are as long as three rows."""
+    ur5e_checker.update(obstacles(Thing((1.0, 0.0, 0.5))))
+    before, three = ur5e_checker.distance(READY).distance, random_obstacles(3, 0)
+    with pytest.raises(ArmError, match=f"obstacles: expected 3 {found}"):
+        ur5e_checker.update(replace(three, **{name: np.resize(getattr(three, name), shape)}))
+    assert ur5e_checker.distance(READY).distance == before
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]), ([0.0, 0.0, np.nan], [1.0, 1.0, 1.0]), ([0.0, 0.0], [1.0, 1.0])],
+)
+def test_regions_that_are_no_box_are_refused(lower: list[float], upper: list[float]) -> None:
+    """What is unseen and large enough to hold both corners of one upside down counted for nothing."""
+    with pytest.raises(ArmError, match=r"allowed region: expected a lower corner \[3\] below the upper one"):
+        AllowedRegion(np.array(lower), np.array(upper))
+
+
 def test_an_arm_comes_from_a_file_by_its_path() -> None:
     assert ArmCollisionChecker(Path("sim/ur3e.xml")).model.joints == 6

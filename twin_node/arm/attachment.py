@@ -46,3 +46,13 @@ class AllowedRegion:
     """[3] upper corner, m, in `base_link`."""
     links: tuple[str, ...] = field(default=("wrist_3_link",))
     """Names of links and attachments."""
+
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for corners that make no box."""
+        corners = (self.lower, self.upper)
+        is_box = all(np.shape(corner) == (3,) and np.isfinite(corner).all() for corner in corners)
+        if not (is_box and np.less(*corners).all()):
+            raise ArmError(
+                "allowed region: expected a lower corner [3] below the upper one in metres, found "
+                f"{np.asarray(self.lower).tolist()} and {np.asarray(self.upper).tolist()}; correct them"
+            )

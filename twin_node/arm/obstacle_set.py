@@ -41,12 +41,12 @@ class ObstacleSet:
     def of(obstacles: Obstacles) -> ObstacleSet:
         """Lays out obstacles; raises `ArmError` for values that no obstacle can have."""
         _refuse_wrong(obstacles)
-        half = np.asarray(obstacles.sizes, dtype=np.float64).reshape(-1, 3) / 2
+        half = np.asarray(obstacles.sizes, dtype=np.float64) / 2
         is_sphere = np.asarray(obstacles.shapes == ObstacleShape.SPHERE)
         outer = np.where(is_sphere, half[:, 0], np.linalg.norm(half, axis=1))
         return ObstacleSet(
             source=obstacles,
-            centers=np.asarray(obstacles.positions, dtype=np.float64).reshape(-1, 3),
+            centers=np.asarray(obstacles.positions, dtype=np.float64),
             rotations=rotation_from_quat(np.where(is_sphere[:, None], _NO_TURN, obstacles.quats)),
             half=half,
             is_sphere=is_sphere,
@@ -135,17 +135,21 @@ class ObstacleSet:
 
 def _refuse_wrong(obstacles: Obstacles) -> None:
     count = len(obstacles.ids)
-    for name, values in (
-        ("positions", obstacles.positions),
-        ("quats", obstacles.quats),
-        ("sizes", obstacles.sizes),
-        ("velocities", obstacles.velocities),
+    for name, values, width in (
+        ("positions", obstacles.positions, 3),
+        ("quats", obstacles.quats, 4),
+        ("sizes", obstacles.sizes, 3),
+        ("velocities", obstacles.velocities, 3),
     ):
-        wild = ~(np.abs(values) <= _FARTHEST)
-        if len(values) != count or wild.any():
+        if np.shape(values) != (count, width):
             raise ArmError(
-                f"obstacles: expected {count} rows of finite {name} of at most {_FARTHEST:g}, found {len(values)} "
-                f"rows, {int(wild.sum())} values not finite or larger; check the forecast"
+                f"obstacles: expected {count} rows of {width} {name}, found {_shape(values)}; check the forecast"
+            )
+        wild = ~(np.abs(values) <= _FARTHEST)
+        if wild.any():
+            raise ArmError(
+                f"obstacles: expected {count} rows of finite {name} of at most {_FARTHEST:g}, found {int(wild.sum())} "
+                "values not finite or larger; check the forecast"
             )
     for name, column in (
         ("kinds", obstacles.kinds),
@@ -153,13 +157,15 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         ("valid_from", obstacles.valid_from),
         ("valid_to", obstacles.valid_to),
     ):
-        if len(column) != count:
-            raise ArmError(f"obstacles: expected {count} {name}, one per id, found {len(column)}; check the forecast")
+        if np.shape(column) != (count,):
+            raise ArmError(
+                f"obstacles: expected {count} {name}, one per id, found {_shape(column)}; check the forecast"
+            )
     _refuse_untimed(obstacles)
     for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
-        if told is not None and (len(told) != count or not (np.abs(told) <= _FARTHEST).all()):
+        if told is not None and (np.shape(told) != (count,) or not (np.abs(told) <= _FARTHEST).all()):
             raise ArmError(
-                f"obstacles: expected {count} finite {name} of at most {_FARTHEST:g}, found {len(told)}, of which "
+                f"obstacles: expected {count} finite {name} of at most {_FARTHEST:g}, found {_shape(told)}, of which "
                 f"{int((~(np.abs(told) <= _FARTHEST)).sum())} are not finite or larger; check the forecast"
             )
     if obstacles.reach_speeds is not None and (obstacles.reach_speeds < 0).any():
@@ -168,11 +174,15 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         )
     if (obstacles.sizes < 0).any():
         raise ArmError("obstacles: expected sizes in metres of zero or more, found a negative one; check the forecast")
-    turns = np.linalg.norm(np.asarray(obstacles.quats).reshape(-1, 4), axis=1)
+    turns = np.linalg.norm(obstacles.quats, axis=1)
     if ((turns < 1e-6) & (obstacles.shapes == ObstacleShape.BOX)).any():
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
     if not np.isin(obstacles.shapes, _SHAPES).all() or not np.isin(obstacles.kinds, _KINDS).all():
         raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")
+
+
+def _shape(values: NDArray[np.generic]) -> str:
+    return "x".join(map(str, np.shape(values))) or "one value"
 
 
 def _refuse_untimed(obstacles: Obstacles) -> None:
