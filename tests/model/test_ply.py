@@ -98,8 +98,8 @@ def test_a_cloud_keeps_its_looks(tmp_path: Path) -> None:
         np.arange(6, dtype=np.uint32),
         np.full(6, -1, np.int32),
     )
-    write_ply(stored_from_cloud(cloud), tmp_path / "cloud.ply")
-    back = read_ply(tmp_path / "cloud.ply")
+    write_ply(stored_from_cloud(cloud), str(tmp_path / "cloud.ply"))
+    back = read_ply(str(tmp_path / "cloud.ply"))
     assert np.isfinite(back.logits).all() and np.isfinite(back.log_scales).all()
     np.testing.assert_allclose(1 / (1 + np.exp(-back.logits)), cloud.opacities, atol=2e-6)
     np.testing.assert_allclose(np.exp(back.log_scales), cloud.scales, atol=1e-8, rtol=1e-5)

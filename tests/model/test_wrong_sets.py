@@ -54,6 +54,19 @@ def test_stamps_in_seconds_are_refused() -> None:
         model.update(replace(one, stamp=1.7e9, views=(one.views[0], wrong, *one.views[2:])))
 
 
+@pytest.mark.parametrize("kind", [np.int64, np.uint64])
+def test_stamps_that_numpy_counts_are_stamps(kind: type[np.integer]) -> None:
+    """Signed ones ended in a traceback, and the differences of unsigned ones wrapped around."""
+    plain, counted = WindowModel(QUICK), WindowModel(QUICK)
+    for one in sliding(3, CAMERAS, depth=True):
+        early = [replace(view, stamp=view.stamp - 1_000_000 * i) for i, view in enumerate(one.views)]
+        views = tuple(replace(view, stamp=kind(view.stamp)) for view in early)
+        expected = plain.update(replace(one, views=tuple(early)))
+        found = counted.update(replace(one, stamp=kind(one.stamp), views=views))
+    assert type(found.stamp) is int
+    np.testing.assert_array_equal(found.gaussians.means, expected.gaussians.means)
+
+
 @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf])
 def test_depth_that_is_not_finite_is_refused_before_anything_is_made_of_the_set(wild: float) -> None:
     model, sets = WindowModel(QUICK), sliding(3, CAMERAS, depth=True)

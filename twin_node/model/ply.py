@@ -95,17 +95,18 @@ def ply_bytes(gaussians: StoredGaussians) -> bytes:
     return header.encode("ascii") + table.tobytes()
 
 
-def write_ply(gaussians: StoredGaussians, path: Path) -> None:
+def write_ply(gaussians: StoredGaussians, path: str | Path) -> None:
     """Writes binary PLY, see `ply_bytes`, whole or not at all. Raises `ModelError` where it cannot be written."""
-    with whole_file(path, ModelError) as partial:
+    with whole_file(Path(path), ModelError) as partial:
         partial.write_bytes(ply_bytes(gaussians))
 
 
-def read_ply(path: Path) -> StoredGaussians:
+def read_ply(path: str | Path) -> StoredGaussians:
     """Reads Gaussians in the layout of 3DGS, properties in any order; normals and unknown properties are ignored.
 
     Raises `ModelError` for a file that is no binary PLY, lacks properties, or ends too early.
     """
+    path = Path(path)
     try:
         data = path.read_bytes()
     except OSError as error:

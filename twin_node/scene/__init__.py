@@ -15,6 +15,7 @@ from twin_node.scene.future import (
     Separation,
 )
 from twin_node.scene.images import Camera, FrameSet, FrameSource, JointPath, JointSample, Rig, RigCamera, View
+from twin_node.scene.stamps import count_as_python
 from twin_node.scene.twin import PLAIN, Exposure, GaussianCloud, NodeStates, Tier, TwinState
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "UInt32",
     "View",
     "as_camera_name",
+    "count_as_python",
     "is_camera_name",
     "read_only",
 ]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose
 from twin_node.scene.arrays import Bool, Float32, Float64, UInt8
+from twin_node.scene.stamps import count_as_python
 
 
 @dataclass(frozen=True)
@@ -105,13 +106,16 @@ class View:
     valid: Bool | None = None
     """[H, W] False where undistortion found no pixel; None: all valid."""
 
+    def __post_init__(self) -> None:
+        count_as_python(self)
+
     def misfit(self, **masks: Bool | None) -> str | None:
         """The first of its arrays, or of `masks` [H, W] of it, that is not of its camera's size or not of its kind.
 
         As a sentence for an error, also for a stamp in seconds; None where all fit. Compiled code takes sizes from the
         camera, and looks no further.
         """
-        if not isinstance(self.stamp, int | np.integer):
+        if not isinstance(self.stamp, int):
             return (
                 f"camera {self.camera.name}: expected a stamp in whole nanoseconds, found {self.stamp!r}; of seconds "
                 "give round(1e9 * seconds)"
@@ -141,6 +145,9 @@ class JointSample:
     velocities: Float64
     """[J] rad/s."""
 
+    def __post_init__(self) -> None:
+        count_as_python(self)
+
 
 @dataclass(frozen=True)
 class JointPath:
@@ -165,6 +172,9 @@ class FrameSet:
     """The arm's joints nearest to `stamp`, where the source has them."""
     sequence: int = 0
     """Counts sets from the source, the dropped ones too."""
+
+    def __post_init__(self) -> None:
+        count_as_python(self)
 
 
 class FrameSource(Protocol):

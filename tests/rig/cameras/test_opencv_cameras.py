@@ -128,9 +128,10 @@ class Recorded:
 
     cameras, health = ("a", "b"), ()
 
-    def __init__(self, back_ns: int) -> None:
+    def __init__(self, back_ns: int, kind: type = int, prefix: str = "") -> None:
+        """`kind`: of the stamps; `prefix`: before the names that images have."""
         self.now = 0
-        self._back_ns = back_ns
+        self._back_ns, self._kind, self._prefix = back_ns, kind, prefix
 
     def images(self) -> Iterator[CameraImage]:
         steady = 0
@@ -139,7 +140,8 @@ class Recorded:
             steady = number * 33_000_000
             self.now = 10**18 + steady - (self._back_ns if number >= 20 else 0)
             for name in self.cameras:
-                yield CameraImage(name, stamps[name].of_arrival(5_000_000), np.zeros((24, 32, 3), np.uint8))
+                stamp = self._kind(stamps[name].of_arrival(5_000_000))
+                yield CameraImage(self._prefix + name, stamp, np.zeros((24, 32, 3), np.uint8))
 
     def close(self) -> None:
         pass
@@ -164,6 +166,20 @@ def test_stamps_are_the_rigs_and_joints_come_beside_them(monkeypatch: pytest.Mon
     assert {frames.views[0].stamp - frames.views[1].stamp for frames in sets} == {12_000_000}
     assert sets[0].joints is not None and sets[0].joints.names == ("elbow_joint",)
     assert sets[-1].joints is None
+
+
+def test_stamps_that_numpy_counts_are_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unsigned ones were all in the future: what is less than nothing wraps around."""
+    recorded = Recorded(0, np.uint64)
+    monkeypatch.setattr("time.time_ns", lambda: recorded.now)
+    assert len(list(SynchronizedSource(recorded, rig_of("a", "b")))) > 35
+
+
+def test_an_image_of_no_camera_of_the_rig_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded = Recorded(0, prefix="cam_")
+    monkeypatch.setattr("time.time_ns", lambda: recorded.now)
+    with pytest.raises(RigError, match="expected images of a, b, found one of 'cam_a'; name them alike"):
+        list(SynchronizedSource(recorded, rig_of("a", "b")))
 
 
 def test_wrong_names_are_told(video: Path) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from twin_node.scene import Float32, UInt8
+from twin_node.scene import Float32, UInt8, count_as_python
 
 WAIT_S = 0.2
 """How long a source that has no image may take to notice that it is closed, s."""
@@ -25,6 +25,9 @@ class CameraImage:
     """[H, W, 3]."""
     depth: Float32 | None = None
     """[H, W] m along the optical axis, aligned with `rgb`, 0 where unknown; None: the camera measures none."""
+
+    def __post_init__(self) -> None:
+        count_as_python(self)
 
 
 @dataclass(frozen=True)

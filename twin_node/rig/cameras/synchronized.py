@@ -54,9 +54,17 @@ class SynchronizedSource:
         self._joints.put(sample)
 
     def __iter__(self) -> Iterator[FrameSet]:
-        """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back."""
+        """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back.
+
+        Raises `RigError` for an image of a camera that the source did not name, or that is not as calibrated.
+        """
         clock = SystemClock(self._begin_anew)
         for image in self._source.images():
+            if image.camera not in self._rig_cameras:
+                raise RigError(
+                    f"cameras: expected images of {', '.join(self._rig_cameras)}, found one of {image.camera!r}; name "
+                    "them alike"
+                )
             stamp = self._rig_cameras[image.camera].rig_time(image.stamp)
             for ready in self._synchronizer.add(image.camera, stamp, image, clock.now()):
                 while not self._joints.empty():
