@@ -17,6 +17,7 @@ import pytest
 from twin_node.messages import convert, message_type
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import kind_of
+from twin_node.rig import RigFile, save_rig
 from twin_node.rig.cameras import CameraImage, SynchronizedSource
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.clock import SystemClock
@@ -117,15 +118,17 @@ class Obeying:
 
 
 def test_cameras_of_ones_own_without_a_graph(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     cameras, K = TwoCameras(), np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
     monkeypatch.setattr("time.time_ns", lambda: cameras.now)
     poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
     rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
 
+    save_rig(RigFile(rig), tmp_path / "my_rig.yaml")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", WithJoints)
-    made = example(monkeypatch, 1, cameras=cameras, rig=rig)
+    made = example(monkeypatch, 1, cameras=cameras)
     assert (made.obstacles.kinds == ObstacleKind.MOVING).any()
     assert re.fullmatch(r"(\d+%, told \d+%: [a-zA-Z; ]+\n)+", capsys.readouterr().out)
 
@@ -146,7 +149,9 @@ def test_an_arm_that_stands_for_somebody_is_not_let_go_by_the_example(
         monkeypatch.setattr(f"twin_node.{name}", MagicMock())
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", Obeying)
     monkeypatch.setattr("twin_node.forecast.cover", somebody)
-    example(monkeypatch, 1, cameras=(), rig=Rig((), workspace=np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]])))
+    rig = Rig((), workspace=np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]]))
+    monkeypatch.setattr("twin_node.nodes.calibration.load_base_rig", lambda _: rig)
+    example(monkeypatch, 1, cameras=())
     told = capsys.readouterr().out.splitlines()
     assert told[1] == "100%, told 4%: not closing in; speeding up"
     assert set(told[2:]) == {"0%, told 0%: stopped for MOVING"}

@@ -89,7 +89,7 @@ def damage_first(log: LogReader) -> Iterator[None]:
         raise GraphError(f"{log.damage}; {repair}; of what was: {error}") from None
 
 
-def load_base_rig(file: Path) -> Rig:
+def load_base_rig(file: str | Path) -> Rig:
     """The rig of a file for a twin that judges an arm. Raises `RigError` for a file that is none.
 
     Raises `GraphError` for poses seen from a camera or the flange, as if the arm stood there, and for such in `base`:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from twin_node.geometry import inverse_pose
 from twin_node.rig.errors import RigError
 from twin_node.rig.workspace import axes_focus, axes_spread
+from twin_node.scene import Rig
 
 DISTORTION_LENGTHS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 """ROS distortion models and how many coefficients each takes."""
@@ -34,6 +35,33 @@ ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity: rounding to four digits passes, a scaled rotation does not."""
 
 Float = NDArray[np.float64]
+
+
+def check_rig(rig: Rig) -> None:
+    """Raises `RigError` where a rig that was not read from a file is none that a file may hold."""
+    for camera in rig.cameras:
+        where = f"camera {camera.name}"
+        _check_numbers(f"{where}: K", camera.K, (3, 3))
+        _check_numbers(f"{where}: T_base_cam", camera.T_base_cam, (4, 4))
+        _check_numbers(f"{where}: D", camera.D, (np.size(camera.D),))
+        check_size(where, np.array([camera.width, camera.height]))
+        check_intrinsics(where, camera.K, (camera.width, camera.height))
+        check_pose(where, camera.T_base_cam)
+        if np.any(camera.D):
+            check_distortion(where, camera.distortion_model, camera.D)
+    if rig.cameras:
+        names = tuple(camera.name for camera in rig.cameras)
+        check_facing("rig", names, np.stack([camera.T_base_cam for camera in rig.cameras]))
+
+
+def _check_numbers(where: str, found: Float, shape: tuple[int, ...]) -> None:
+    flat = len(shape) == 1
+    wanted = f"{where}: expected finite numbers {'[n]' if flat else list(shape)}"
+    if np.shape(found) != shape:
+        hint = "of what OpenCV gives take `ravel()`" if flat else "check the calibration"
+        raise RigError(f"{wanted}, found shape {list(np.shape(found))}; {hint}")
+    if not np.isfinite(found).all():
+        raise RigError(f"{wanted}, found {_text(found)}; check the calibration")
 
 
 def check_size(where: str, size: Float) -> None:

@@ -9,6 +9,7 @@ from twin_node.rig.cameras.image_source import CameraImage, ImageSource
 from twin_node.rig.clock_kinds import without_other_clocks
 from twin_node.rig.errors import RigError
 from twin_node.rig.frames import DecodedImage, FrameAssembler
+from twin_node.rig.rig_checks import check_rig
 from twin_node.rig.synchronizer import ApproximateTimeSynchronizer, SyncParameters, SyncReport, SyncSet
 from twin_node.runtime.clock import SystemClock
 from twin_node.scene import Camera, FrameSet, JointSample, Rig
@@ -25,13 +26,17 @@ class SynchronizedSource:
     def __init__(
         self, source: ImageSource, rig: Rig, width: int | None = None, parameters: SyncParameters | None = None
     ) -> None:
-        """`width`: of all views, pixels; None: the cameras' own. Raises `RigError` for a rig of other cameras."""
+        """`width`: of all views, pixels; None: the cameras' own.
+
+        Raises `RigError` for a rig of other cameras, or one that no rig file may hold.
+        """
         names = [camera.name for camera in rig.cameras]
         if set(names) != set(source.cameras):
             raise RigError(
                 f"cameras: expected those of the rig file ({', '.join(names)}), found {', '.join(source.cameras)}; "
                 "name them alike"
             )
+        check_rig(rig)
         self._source = source
         timed = without_other_clocks(rig, since_1970=True)
         self._rig_cameras = {camera.name: camera for camera in timed.cameras}
