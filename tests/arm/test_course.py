@@ -81,3 +81,13 @@ def test_a_clock_that_is_put_back_keeps_no_command_underway_for_ever() -> None:
 def test_no_command_is_underway_for_less_than_no_time(wrong: dict[str, float]) -> None:
     with pytest.raises(ArmError, match="commands underway"):
         Underway(**wrong)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, 80.0, np.nan])
+def test_no_arm_is_told_a_share_that_is_none(share: float) -> None:
+    """What is not a number was no share at all: the arm counted as standing."""
+    commands = Commands(0.1)
+    commands.tell(0.5, NOW)
+    with pytest.raises(ArmError, match="commands: expected a share from 0 to 1, found"):
+        commands.tell(share, NOW + 10 * MS)
+    assert commands.underway(NOW + 10 * MS).share == 0.5

@@ -236,3 +236,14 @@ def test_an_arm_for_which_no_cycle_can_be_made_up_stands_until_it_tells_of_itsel
     assert len(tries) == 1
     found.take_joints(joints(READY, 0 * TURNING, 0))
     np.testing.assert_allclose(pose_at(found, 0), READY)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, 80.0, np.nan])
+def test_a_share_that_is_none_is_refused(share: float) -> None:
+    """By a percentage the program would be a hundred times as slow as it is: an arm that closes in on nobody."""
+    found = ArmPredictor(MODEL, unwanted, 0.4)
+    found.take_joints(joints(READY, TURNING, 0))
+    with pytest.raises(ArmError, match="share: expected 0 to 1, as the arm was told, found"):
+        found.take_joints(joints(READY + 0.01 * TURNING, TURNING, 10), share=share)
+    ahead = found.ahead(NOW + 10 * MS, NOW + 10 * MS)
+    np.testing.assert_allclose(ahead.positions[-1] - ahead.positions[0], 0.2 * TURNING, atol=1e-12)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.stopping import Stop, StoppingTable
-from twin_node.ranges import NOT_NEGATIVE, check_ranges
+from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
 from twin_node.scene import Float64
 
 
@@ -36,7 +36,12 @@ class Commands:
         """When, and what: the last of which the arm has surely heard, then those underway."""
 
     def tell(self, share: float, now: int) -> None:
-        """The arm is told a share (0 to 1); a clock that was put back leaves nothing underway but what came before."""
+        """The arm is told a share (0 to 1); a clock that was put back leaves nothing underway but what came before.
+
+        Raises `ArmError` for a share that is none: what was told before goes on.
+        """
+        if not SHARE.holds(share):
+            raise ArmError(f"commands: expected a share from {SHARE}, found {share:g}; divide percentages by 100")
         if now < self._told[-1][0]:
             self._told = deque([(now, self._told[-1][1])])
         self._told.append((now, share))

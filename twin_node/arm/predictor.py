@@ -10,6 +10,7 @@ from twin_node.arm.cycle import CyclicPath
 from twin_node.arm.errors import ArmError
 from twin_node.arm.path import STEP_NS, extrapolate, go_on, path_ahead, path_from_sample, sample_path
 from twin_node.arm.programmed import ProgrammedVelocity
+from twin_node.ranges import SHARE
 from twin_node.robot import ArmModel, RobotError
 from twin_node.scene import Float64, JointPath, JointSample
 
@@ -114,8 +115,10 @@ class ArmPredictor:
         So they are for as long as all that ever came were 0, which is what many put there who measure none.
         `share`: of its speed, that the arm has been told to keep to. What others than the arm (a gripper, an axis) say
         on the same topic is left out, and so is what comes after newer joints. Raises `RobotError` where a joint is
-        missing.
+        missing, and `ArmError` for a share that is none.
         """
+        if not SHARE.holds(share):
+            raise ArmError(f"share: expected {SHARE}, as the arm was told, found {share:g}; divide percentages by 100")
         if not set(sample.names) & set(self._model.joint_names):
             self._other = sample
             return
