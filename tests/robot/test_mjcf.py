@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -338,6 +339,20 @@ def test_a_long_link_without_a_shape_is_refused(tmp_path: Path) -> None:
     path.write_text(MIXED.format('<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'))
     with pytest.raises(RobotError, match=r"bare\.xml: expected shapes of link b, 0\.30 m long, found none"):
         arm_model(path)
+
+
+@pytest.mark.parametrize("scaled", ["size=", "fromto=", "pos="])
+def test_an_arm_in_millimetres_is_refused(tmp_path: Path, scaled: str) -> None:
+    """It hid all that cameras saw, or was nowhere near it: no obstacle was left, and it might go."""
+
+    def enlarged(found: re.Match[str]) -> str:
+        return scaled + '"' + " ".join(str(1000 * float(number)) for number in found[1].split()) + '"'
+
+    (tmp_path / "arm.xml").write_text(re.sub(f'{scaled}"([^"]*)"', enlarged, write_mjcf(ur_model("ur5e"))))
+    with pytest.raises(RobotError, match=r"arm arm: expected link \w+ in metres, at most 10, found one of [0-9.e+]+;"):
+        arm_model(tmp_path / "arm.xml")
+    with pytest.raises(RobotError, match="arm ur5e: expected link wrist_3_link in metres"):
+        ur_model("ur5e").carrying(np.array([[[0, 0, 45.0], [0, 0, 120.0]]]), np.array([50.0]))
 
 
 def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:

@@ -83,8 +83,8 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     that has others; MuJoCo reads none from a URDF. Tools are given in the file's frame `tool0`, a link or site fixed to
     the last link, or in the last joint's (z along its axis) where there is none. A URDF's velocity limits are the
     joints' ratings; where there is none, or 0 or more than 15 rad/s, it is 15. Raises `RobotError` for a file that
-    cannot be read (`compiled`), for joints that are no chain of hinges or hang on others, and for an arm, or a long
-    link of it, without shapes: nothing would ever be near it.
+    cannot be read (`compiled`), for joints that are no chain of hinges or hang on others, for an arm, or a long
+    link of it, without shapes: nothing would ever be near it, and for one in millimetres.
     """
     engine = compiled(path)
     joints = _arm_joints(engine, path, joint_names)

@@ -16,6 +16,10 @@ FARTHEST_RAD = 1e6
 """No joint turns so far, nor so fast in a second: with angles beyond it times and places become infinite."""
 
 
+FARTHEST_M = 10.0
+"""No link of an arm reaches so far from its joint, nor is the next one so far away: more are millimetres."""
+
+
 class RobotError(TwinError):
     """An arm's model, joint values or kinematics file is wrong."""
 
@@ -71,6 +75,19 @@ class ArmModel:
     """Pairs of links, not neighbours, that cannot touch however the joints turn, though their capsules may overlap."""
     T_last_tool: Float64 = field(default_factory=lambda: np.eye(4))
     """[4, 4] pose of `tool0`, the frame of tools, in that of the last link."""
+
+    def __post_init__(self) -> None:
+        """Raises `RobotError` for links in millimetres: they would hide all that cameras see, or be nowhere near it."""
+        reaches = np.zeros(len(self.link_names))
+        reaches[1 : self.joints] = np.linalg.norm(self.origins[1:, :3, 3], axis=1)
+        shapes = np.linalg.norm(self.capsules.ends, axis=2).max(axis=1) + self.capsules.radii
+        np.maximum.at(reaches, self.capsules.links, shapes)
+        far = np.flatnonzero(~(reaches[1:] <= FARTHEST_M)) + 1  # what stands at the base may be as large as it is
+        if len(far):
+            raise RobotError(
+                f"arm {self.name}: expected link {self.link_names[far[0]]} in metres, at most {FARTHEST_M:g}, found "
+                f"one of {reaches[far[0]]:.3g}; give metres, and meshes of millimetres a scale of 0.001"
+            )
 
     @property
     def joints(self) -> int:
