@@ -67,8 +67,9 @@ def test_stamps_that_numpy_counts_are_stamps(kind: type[np.integer]) -> None:
     np.testing.assert_array_equal(found.gaussians.means, expected.gaussians.means)
 
 
-@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf])
-def test_depth_that_is_not_finite_is_refused_before_anything_is_made_of_the_set(wild: float) -> None:
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, -1.0])
+def test_depth_that_no_camera_measures_is_refused_before_anything_is_made_of_the_set(wild: float) -> None:
+    """Of a moving thing with -1 where nothing was measured, a fifth was held by no voxel."""
     model, sets = WindowModel(QUICK), sliding(3, CAMERAS, depth=True)
     depth = sets[1].views[1].depth
     assert depth is not None

@@ -169,7 +169,7 @@ class WindowModel:
 
         A forecast of what measured depth shows needs no more, and has it long before the model. The first set is
         modelled whole at once. Raises `ModelError` for a set without views, older than the last, with images that are
-        not of their camera's size, or with depth that is not finite.
+        not of their camera's size, or with depth that is negative or not finite.
         """
         self._check(frames)
         begun, is_first = self._begun, self._begun is None
@@ -389,11 +389,12 @@ class WindowModel:
 
 
 def _wild_depth(view: View) -> str | None:
-    """Where a view's depth is not finite, as a sentence for an error; None where all of it is, or none is measured."""
-    if view.depth is None or np.isfinite(view.depth).all():
+    """Where a view's depth is negative or not finite, as a sentence for an error; None where it is nowhere."""
+    depth = view.depth
+    if depth is None or (depth.min(initial=0) >= 0 and depth.max(initial=0) < np.inf):
         return None
-    row, column = np.argwhere(~np.isfinite(view.depth))[0]
+    row, column = np.argwhere(~((depth >= 0) & (depth < np.inf)))[0]
     return (
-        f"camera {view.camera.name}: expected depth in metres, 0 where unknown, found {view.depth[row, column]} at row "
+        f"camera {view.camera.name}: expected depth in metres, 0 where unknown, found {depth[row, column]} at row "
         f"{row}, column {column}; put 0 there"
     )

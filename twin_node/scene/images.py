@@ -102,7 +102,7 @@ class View:
     rgb: UInt8
     """[H, W, 3]."""
     depth: Float32 | None = None
-    """[H, W] metres along the optical axis; 0 where unknown (never NaN)."""
+    """[H, W] metres along the optical axis; 0 where unknown (never NaN or negative)."""
     valid: Bool | None = None
     """[H, W] False where undistortion found no pixel; None: all valid."""
 
