@@ -149,9 +149,36 @@ def test_an_arm_that_stands_for_somebody_is_not_let_go_by_the_example(
         monkeypatch.setattr(f"twin_node.{name}", MagicMock())
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", Obeying)
     monkeypatch.setattr("twin_node.forecast.cover", somebody)
+    monkeypatch.setattr("twin_node.rig.drift_report.DriftReport.trusted", lambda _, frames: frames)
     rig = Rig((), workspace=np.array([[0.1, -0.6, 0.0], [0.8, 0.6, 0.5]]))
     monkeypatch.setattr("twin_node.nodes.calibration.load_base_rig", lambda _: rig)
     example(monkeypatch, 1, cameras=())
     told = capsys.readouterr().out.splitlines()
     assert told[1] == "100%, told 4%: not closing in; speeding up"
     assert set(told[2:]) == {"0%, told 0%: stopped for MOVING"}
+
+
+class OneHangs(TwoCameras):
+    """The left camera sends its twelfth image again and again, with new stamps."""
+
+    def images(self) -> Iterator[CameraImage]:
+        noise, hung = np.random.default_rng(1), None
+        for number in range(16):
+            self.now = NOW + 33_000_000 * number
+            for name in self.cameras:
+                rgb = self._table + noise.integers(0, 3, self._table.shape, np.uint8)
+                image = CameraImage(name, self.now, rgb, np.full((36, 48), 1.5, np.float32))
+                hung = image if (name, number) == ("left", 11) else hung
+                yield replace(hung, stamp=self.now) if hung is not None and name == "left" else image
+
+
+def test_the_example_leaves_out_a_camera_that_hangs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It would show for ever that nobody has come."""
+    cameras, K = OneHangs(), np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
+    monkeypatch.setattr("time.time_ns", lambda: cameras.now)
+    poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
+    rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
+    save_rig(RigFile(rig), tmp_path / "my_rig.yaml")
+    monkeypatch.chdir(tmp_path)
+    made = example(monkeypatch, 1, cameras=cameras)
+    assert [view.camera.name for view in made.seen.frames.views] == ["right"]

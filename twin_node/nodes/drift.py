@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
 from pathlib import Path
 
 from twin_node.messages import convert
@@ -69,13 +68,12 @@ class DriftNode(Node):
         report = self._watch.update(frames)
         self.bus.publish(DRIFT, report)
         self._tell(report)
-        trusted = tuple(view for view in frames.views if view.camera.name not in report.distrusted)
-        if not trusted:
+        trusted = report.trusted(frames)
+        if trusted is None:
             return
-        stamp = max(view.stamp for view in trusted)
-        if self._passed is None or stamp >= self._passed:  # without its newest camera a set may reach less far
-            self._passed = stamp
-            self.bus.publish(TRUSTED_FRAMES, replace(frames, stamp=stamp, views=trusted))
+        if self._passed is None or trusted.stamp >= self._passed:  # without its newest camera a set may reach less far
+            self._passed = trusted.stamp
+            self.bus.publish(TRUSTED_FRAMES, trusted)
 
     def _tell(self, report: DriftReport) -> None:
         is_news = report.verdicts != self._told

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+
+from twin_node.scene import FrameSet
 
 
 class Verdict(IntEnum):
@@ -72,6 +74,11 @@ class DriftReport:
     def distrusted(self) -> tuple[str, ...]:
         """Names of the cameras whose images must not be used."""
         return tuple(drift.camera for drift in self.drifts if not drift.trusted)
+
+    def trusted(self, frames: FrameSet) -> FrameSet | None:
+        """A set of the cameras' without those images; None where none is left: nobody knows then what is there."""
+        views = tuple(view for view in frames.views if view.camera.name not in self.distrusted)
+        return replace(frames, stamp=max(view.stamp for view in views), views=views) if views else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
