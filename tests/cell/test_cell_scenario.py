@@ -130,6 +130,10 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
             {"cameras": [CAMERA], "faults": [{"kind": "frozen", "camera": "cam", "from_s": 3.0, "to_s": 2.0}]},
             "from_s before to_s",
         ),
+        (
+            {"cameras": [CAMERA], "arm": {"model": "sim/ur5e.xml"}},
+            "arm: model: expected one of .*ur16e, found 'sim/ur5e.xml'",
+        ),
         ({"extends": "there/cell", "cameras": [CAMERA]}, "extends 'there/cell'"),
         ({"extends": "scenario", "cameras": [CAMERA]}, "in turn"),
         ("[1, 2", "YAML"),
@@ -154,9 +158,8 @@ def test_a_scenario_that_is_not_there_says_where_it_was_looked_for() -> None:
 
 
 def test_an_unknown_arm_is_refused(tmp_path: Path) -> None:
-    scenario = load_scenario(written(tmp_path, {"cameras": [CAMERA], "arm": {"model": "ur99"}}))
     with pytest.raises(TwinError, match="ur99"):
-        World(scenario)
+        World(load_scenario(written(tmp_path, {"cameras": [CAMERA], "arm": {"model": "ur99"}})))
 
 
 def test_another_seed_moves_what_acts_only_where_the_scenario_varies() -> None:

@@ -12,6 +12,7 @@ from twin_node.cell.motion import Path
 from twin_node.cell.shapes import Form
 from twin_node.cell.textures import Texture
 from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
+from twin_node.robot import UR_NAMES
 from twin_node.scene import NAME_WANTED, is_camera_name
 
 Triple = tuple[float, float, float]
@@ -248,6 +249,11 @@ class ArmSpec:
     texture: Texture = ARM_PAINT
 
     def __post_init__(self) -> None:
+        if self.model not in UR_NAMES:
+            raise CellError(
+                f"arm: model: expected one of {', '.join(UR_NAMES)}, found '{self.model}'; other arms, and those of "
+                "files, are not simulated"
+            )
         if self.workspace is not None:
             _require_corners("arm", self.workspace)
         check_ranges(self, CellError, "arm: ", joint_rate_hz=Range(0, 1000, above=True))
