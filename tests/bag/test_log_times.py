@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, Writer
@@ -15,7 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 from twin_node.bag import BagError, LogWriter, RecordingWriter, open_log
 from twin_node.bag.repair import repair
 from twin_node.cli import main
-from twin_node.messages import builtin_types, definition, message_type, serialize
+from twin_node.messages import MessageError, builtin_types, definition, message_type, serialize
+from twin_node.messages.stamps import to_time
 
 STRING = "std_msgs/msg/String"
 LAST = 2**63 - 1
@@ -64,6 +66,20 @@ def test_recordings_refuse_times_that_cannot_be(tmp_path: Path, name: str, stamp
             log.write("/text", STRING, text("a"), stamp, builtin_types())
     with open_log(tmp_path / name) as log:
         assert [entry.stamp for entry in log.messages()] == [LAST]
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+@pytest.mark.parametrize("stamp", [1.7e9, 1.7e18])
+def test_times_that_are_no_whole_nanoseconds_are_refused(tmp_path: Path, name: str, stamp: Any) -> None:
+    """In messages, seconds were a moment in 1970; a log ended in a traceback."""
+    with pytest.raises(MessageError, match=r"stamp: expected whole nanoseconds, .*; of seconds give round"):
+        to_time(stamp)
+    with (
+        pytest.raises(BagError, match=r"message on /words at .* ns; expected whole nanoseconds"),
+        LogWriter(tmp_path / name) as log,
+    ):
+        log.write_raw("/words", "std_msgs/msg/String", text("now"), stamp)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 
 from twin_node.bag.log import BagError, DamageError, Part
@@ -17,6 +18,11 @@ RANGE = "0 to 2^63 - 1 ns"
 
 def check_log_time(stamp: int, topic: str, path: Path) -> None:
     """Raises `BagError` for a log time that no log can have; `path`: of the log."""
+    if not isinstance(stamp, Integral):
+        raise BagError(
+            f"{path}: message on {topic} at {stamp!r} ns; expected whole nanoseconds: of seconds give "
+            "round(1e9 * seconds)"
+        )
     if not NO_START <= stamp < NO_STOP:
         raise BagError(f"{path}: message on {topic} at {stamp} ns; expected a log time from {RANGE}")
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 from twin_node.messages.types import Message, MessageError, message_type
 
 NS_PER_S = 1_000_000_000
 
 
 def to_time(stamp_ns: int) -> Message:
-    """`builtin_interfaces/msg/Time` of a stamp in ns. Raises `MessageError` outside of 1970 to 2038 (int32 seconds)."""
+    """`builtin_interfaces/msg/Time` of a stamp in ns. Raises as `require_stamp` does."""
     require_stamp(stamp_ns, "stamp")
     seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
     return message_type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
 
 
 def require_stamp(stamp_ns: int, name: str) -> None:
-    """Raises `MessageError`, naming it, for a stamp in ns outside of 1970 to 2038 (int32 seconds)."""
+    """Raises `MessageError`, naming it, for a stamp that is no whole ns or outside of 1970 to 2038 (int32 seconds)."""
+    if not isinstance(stamp_ns, Integral):
+        raise MessageError(
+            f"{name}: expected whole nanoseconds, found {stamp_ns!r}; of seconds give round(1e9 * seconds)"
+        )
     if not 0 <= stamp_ns < 2**31 * NS_PER_S:
         raise MessageError(
             f"{name} {stamp_ns} ns: expected 0 to {2**31 * NS_PER_S - 1} ns since 1970 (ROS seconds are int32); "
