@@ -117,16 +117,21 @@ class Obeying:
             yield FrameSet(stamp, (), JointSample(stamp, ARM.joint_names, q, qd))
 
 
+def at_their_place(cameras: TwoCameras, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """The rig file that the example reads, where it is run, at the cameras' time."""
+    K = np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
+    poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
+    rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
+    save_rig(RigFile(rig), folder / "my_rig.yaml")
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("time.time_ns", lambda: cameras.now)
+
+
 def test_cameras_of_ones_own_without_a_graph(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    cameras, K = TwoCameras(), np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
-    monkeypatch.setattr("time.time_ns", lambda: cameras.now)
-    poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
-    rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
-
-    save_rig(RigFile(rig), tmp_path / "my_rig.yaml")
-    monkeypatch.chdir(tmp_path)
+    cameras = TwoCameras()
+    at_their_place(cameras, monkeypatch, tmp_path)
     monkeypatch.setattr("twin_node.rig.cameras.SynchronizedSource", WithJoints)
     made = example(monkeypatch, 1, cameras=cameras)
     assert (made.obstacles.kinds == ObstacleKind.MOVING).any()
@@ -174,11 +179,7 @@ class OneHangs(TwoCameras):
 
 def test_the_example_leaves_out_a_camera_that_hangs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """It would show for ever that nobody has come."""
-    cameras, K = OneHangs(), np.array([[40.0, 0, 23.5], [0, 40, 17.5], [0, 0, 1]])
-    monkeypatch.setattr("time.time_ns", lambda: cameras.now)
-    poses = [np.diag([1.0, -1, -1, 1]) + np.outer([x, 0, 1.5, 0], [0, 0, 0, 1]) for x in (0.4, 0.6)]
-    rig = Rig(tuple(RigCamera(name, 48, 36, K, pose) for name, pose in zip(cameras.cameras, poses, strict=True)))
-    save_rig(RigFile(rig), tmp_path / "my_rig.yaml")
-    monkeypatch.chdir(tmp_path)
+    cameras = OneHangs()
+    at_their_place(cameras, monkeypatch, tmp_path)
     made = example(monkeypatch, 1, cameras=cameras)
     assert [view.camera.name for view in made.seen.frames.views] == ["right"]

@@ -173,4 +173,4 @@ def test_cameras_without_stamps_are_told(tmp_path: Path, unstamped: str) -> None
         lines = [line for line in session.doubts if "header.stamp is 0" in line]
         assert [line.split("'")[1] for line in lines] == list(unstamped)
         assert not any("another clock" in line for line in session.doubts)
-        assert [name for name in "abc" if name not in session.expected] == list(unstamped)
+        assert [name for name in "abc" if name not in session.cameras_in_sets] == list(unstamped)

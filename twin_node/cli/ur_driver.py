@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,7 +131,7 @@ def _recording(path: Path) -> Iterator[LogWriter]:
             raise
 
 
-class _Pace:
+class _Pace(ABC):
     """Lets time pass for the driver's node, until it is up."""
 
     bus: Bus
@@ -159,8 +160,9 @@ class _Pace:
         self._wait(is_ready)
         return not self._is_ended and time.monotonic() < self._until
 
+    @abstractmethod
     def _wait(self, is_ready: bool) -> None:
-        raise NotImplementedError
+        """Let a tick pass; `is_ready`: whether the arm is."""
 
 
 class _GraphPace(_Pace):

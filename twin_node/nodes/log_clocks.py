@@ -47,7 +47,7 @@ class LogClocks:
         return {*self._unstamped, *self.apart}
 
     def by_one_clock(self, rig: Rig) -> Rig:
-        """The rig with cameras that are `apart` put right: by some ten milliseconds, as much as delays differ."""
+        """The rig with cameras that are `apart` put right, to some ten milliseconds: as much as delays differ."""
         offsets = [camera.time_offset_ns - self.apart.get(camera.name, 0) for camera in rig.cameras]
         cameras = (replace(camera, time_offset_ns=ns) for camera, ns in zip(rig.cameras, offsets, strict=True))
         return replace(rig, cameras=tuple(cameras))

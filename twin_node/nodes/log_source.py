@@ -76,8 +76,8 @@ class LogSession:
         """The log's topics to play -> the names they are published under."""
 
     @property
-    def expected(self) -> tuple[str, ...]:
-        """Names of the cameras that sets can have images of."""
+    def cameras_in_sets(self) -> tuple[str, ...]:
+        """Names of the cameras by the cell's clock, whose images sets can hold."""
         return tuple(camera.name for camera in self.rig.cameras if camera.name not in self.clocks.strangers)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -171,7 +171,7 @@ class LogSource:
             ready.clear()
         if self._session.log.damage is not None:
             warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
-        for line in held.lacking(self._session.expected, self._session.cameras):
+        for line in held.lacking(self._session.cameras_in_sets, self._session.cameras):
             warnings.warn(line, TwinWarning, stacklevel=2)
 
 
