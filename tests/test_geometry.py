@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -65,6 +65,7 @@ def test_a_motion_and_its_inverse_leave_points_where_they_are(seed: int) -> None
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), above=st.booleans())
+@example(seed=7751, above=False)  # two degrees off straight down
 def test_who_looks_at_a_point_has_it_straight_ahead_and_is_upright(seed: int, above: bool) -> None:
     rng = np.random.default_rng(seed)
     eye, target = rng.uniform(-2, 2, (2, 3))

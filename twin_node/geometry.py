@@ -51,7 +51,7 @@ def looking_at(eye: ArrayLike, target: ArrayLike) -> Float:
     """
     eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
     forward = (target - eye) / np.linalg.norm(target - eye)
-    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0]) if np.hypot(*forward[:2]) > 1e-9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
