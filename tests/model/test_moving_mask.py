@@ -341,3 +341,33 @@ def test_depth_and_arm_that_are_not_of_their_cameras_size_are_refused(scene: Sce
     robot = np.zeros(half, np.bool_) if name == "robot" else None
     with pytest.raises(ModelError, match=f"camera cam: expected {name} .*; give images of the camera's size"):
         MovingMask().update(FrameSet(0, (view,)), [robot])
+
+
+@pytest.mark.parametrize("size", [(360, 640), (481, 853)])
+@pytest.mark.parametrize("has_depth", [False, True])
+def test_in_wide_images_that_are_looked_at_smaller_what_moves_is_found_to_two_pixels(
+    size: tuple[int, int], has_depth: bool
+) -> None:
+    """A box and the arm beside it; noise, and the whole image's pixels."""
+    height, width = size
+    ground = cv2.resize(floor(), (width, height), interpolation=cv2.INTER_CUBIC).astype(np.float64)
+    camera, mask = Camera("cam", width, height, np.eye(3), np.eye(4)), MovingMask()
+    robot = np.zeros(size, np.bool_)
+    robot[50:91, 301:] = True
+    for tick, left in enumerate((width, width, *range(31, 301, 11))):
+        shape, inner = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
+        shape[101:202, left : left + 101] = True
+        inner[103:200, left + 2 : left + 99] = True
+        image = np.where((shape | robot)[..., None], (230.0, 60.0, 30.0), ground)
+        noisy = image + np.random.default_rng(tick).normal(0, 2.0, image.shape)
+        depth = np.where(shape, np.float32(1.5), np.float32(2.0)) if has_depth else None
+        view = View(camera, tick * STEP_NS, np.clip(noisy, 0, 255).astype(np.uint8), depth)
+        found = mask.update(FrameSet(view.stamp, (view,)), [robot])[0]
+        assert found.shape == size
+        assert not (found & robot).any()
+        if tick < 2:
+            assert not found.any()
+        else:
+            assert share(found, inner) == 1.0
+    around = cv2.dilate(shape.astype(np.uint8), np.ones((61, 61), np.uint8)) > 0
+    assert (found & ~around).sum() < 0.1 * shape.sum(), "its trail is freed"

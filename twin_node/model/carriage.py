@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from twin_node.model.kernels import kernels_for
+from twin_node.model.kernels import kernels
 from twin_node.model.node_requests import CarryRequest
 from twin_node.model.nodes import Poses
 from twin_node.model.rotations import left_product, rotation_matrix
@@ -73,18 +74,22 @@ class Carriage:
 
 def carry(poses: Poses, carriers: Tensor) -> Carriage:
     """The carriage of Gaussians whose nodes are `carriers` [n]; -1 stands still in `base_link`."""
-    library = kernels_for(carriers.device)
-    if library is None:
+    library = kernels()
+    if library is None or poses.positions.device.type != "cpu":
         return carry_reference(poses, carriers)
     times, nodes = poses.positions.shape[:2]
-    turns, shifts, products = (torch.empty(times, nodes + 1, *shape) for shape in ((3, 3), (3,), (4, 4)))
-    held = (poses.positions.contiguous(), poses.quats.contiguous(), turns, shifts, products)
+    shapes = ((3, 3), (3,), (4, 4))
+    sizes = [times * (nodes + 1) * math.prod(shape) for shape in shapes]
+    found = torch.empty(sum(sizes))
+    held = (poses.positions.contiguous(), poses.quats.contiguous(), *found.split(sizes))
     library.run(CarryRequest(times, nodes, *(t.data_ptr() for t in held)))
+    there = found.to(carriers.device).split(sizes)  # in one go: another device takes a dozen times as long to find them
+    turns, shifts, products = (of.view(times, nodes + 1, *shape) for of, shape in zip(there, shapes, strict=True))
     return Carriage(turns, shifts, products, carriers.remainder(nodes + 1))  # -1 is the row at rest
 
 
 def carry_reference(poses: Poses, carriers: Tensor) -> Carriage:
-    """The same in torch, on any device: the reference of the compiled kernel."""
+    """The same in torch: the reference of the compiled kernel."""
     times = poses.positions.shape[0]
     rest = poses.quats.new_tensor([1.0, 0, 0, 0]).expand(times, 1, 4)
     quats = torch.cat([poses.quats, rest], 1).to(carriers.device)

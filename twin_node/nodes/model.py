@@ -13,13 +13,13 @@ from twin_node.model.stages import LeftS, Proceed, endless, unhurried
 from twin_node.nodes.cloud_updates import CloudUpdates
 from twin_node.nodes.sizing import Trial
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, SEEN, STATE, TRUSTED_FRAMES
-from twin_node.rig import Narrower
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.node import Node
 from twin_node.runtime.worker_process import is_worth_it
 from twin_node.scene import FrameSet, Tier, TwinState
+from twin_node.scene.narrowing import Narrower
 
 WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what has changed since, and what moves, with every set that the model

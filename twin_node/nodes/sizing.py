@@ -14,9 +14,9 @@ from twin_node.forecast import Forecaster, ForecastParameters
 from twin_node.model import ModelParameters, WindowModel
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS
 from twin_node.nodes.sizes import SIZES
-from twin_node.rig import Narrower
 from twin_node.robot import ArmModel
 from twin_node.scene import FrameSet, Grid
+from twin_node.scene.narrowing import Narrower
 
 TRIED_SETS = 10
 """Sets that a size is timed on; the first, which builds the model, does not count."""

@@ -3,7 +3,6 @@
 from twin_node.rig.errors import RigError
 from twin_node.rig.evidence import CameraEvidence
 from twin_node.rig.frames import DecodedImage, FrameAssembler
-from twin_node.rig.narrowing import Narrower
 from twin_node.rig.rig_file import RigFile, VideoSource, load_rig, save_rig
 from twin_node.rig.stamps import StampsFile, read_stamps
 from twin_node.rig.synchronizer import (
@@ -22,7 +21,6 @@ __all__ = [
     "DecodedImage",
     "FrameAssembler",
     "InputCounts",
-    "Narrower",
     "RigError",
     "RigFile",
     "StampsFile",

@@ -32,7 +32,7 @@ from twin_node.model.sequence import (
     save_checkpoint,
 )
 from twin_node.model.sequence.baking import bake_steps, moved_from_cloud
-from twin_node.rig import Narrower
+from twin_node.scene.narrowing import Narrower
 
 
 @pytest.fixture(scope="module")

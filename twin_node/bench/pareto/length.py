@@ -25,11 +25,11 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import FORECAST, FRAMES
-from twin_node.rig import Narrower
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.runtime.memory import resident_bytes
 from twin_node.scene import FrameSet, Tier
+from twin_node.scene.narrowing import Narrower
 
 CLIP_S = 3.0
 """Length of the clip that is followed to and fro, s: the box goes three quarters of its circle in it."""

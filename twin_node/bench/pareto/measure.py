@@ -18,9 +18,9 @@ from twin_node.model.sequence import Recording
 from twin_node.model.sequence.scoring import evenly
 from twin_node.nodes.report.quality import unit
 from twin_node.nodes.sizes import SIZES
-from twin_node.rig import Narrower
 from twin_node.runtime.memory import peak_mb, resident_bytes
 from twin_node.scene import Float32, View
+from twin_node.scene.narrowing import Narrower
 
 OURS = "ours"
 """In `METHODS`; with a size, `ours_tiny` to `ours_full`."""

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from twin_node.geometry import project
-from twin_node.rig import Narrower
 from twin_node.scene import Camera, Float64, FrameSet, View
+from twin_node.scene.narrowing import Narrower
 
 K = np.array([[40.0, 0.0, 24.0], [0.0, 40.0, 18.0], [0.0, 0.0, 1.0]])
 POINT = np.array([[0.1, -0.05, 1.0]])
