@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -10,14 +12,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.geometry import looking_at
-from twin_node.model.arm_mask import shown_arm
+from twin_node.model.arm_mask import off_arm, off_arm_reference, shown_arms
 from twin_node.model.capsules import nearest_capsules, nearest_reference
 from twin_node.model.kernels import kernels
 from twin_node.model.robot_links import arm_depth
 from twin_node.robot import robot_mask, robot_outline, ur_model
-from twin_node.scene import Bool, Camera, Float32, Float64
+from twin_node.scene import Bool, Camera, Float32, Float64, View
 
 MODEL = ur_model("ur5e")
+K_OFF = np.array([[0, 0, 48.0], [0, 0, 36.0], [0, 0, 0]])
+"""Principal point of a second camera, px."""
 
 
 def camera_at(position: NDArray[np.float64], target: NDArray[np.float64], focal: float = 55.0) -> Camera:
@@ -26,7 +30,8 @@ def camera_at(position: NDArray[np.float64], target: NDArray[np.float64], focal:
 
 
 def mask_of(camera: Camera, q: NDArray[np.float64], depth: Float32) -> Bool:
-    return shown_arm(robot_outline(MODEL, q, camera), camera, depth)
+    view = View(camera, 0, np.zeros((*depth.shape, 3), np.uint8), depth)
+    return shown_arms([robot_outline(MODEL, q, camera)], [view])[0]
 
 
 def seen_by_depth(camera: Camera, q: NDArray[np.float64], wall_m: float) -> tuple[NDArray[np.bool_], Float32]:
@@ -99,3 +104,26 @@ def test_compiled_and_plain_find_the_same() -> None:
     np.testing.assert_array_equal(found.capsules, expected.capsules)
     np.testing.assert_allclose(found.gaps, expected.gaps, atol=1e-12)
     np.testing.assert_allclose(found.shares, expected.shares, atol=1e-12)
+
+
+@pytest.mark.skipif(kernels() is None, reason="no C++ compiler")
+def test_compiled_and_plain_tell_the_same_of_the_arms_pixels() -> None:
+    """Two views of other sizes, of which some pixels measure the arm, some what is before it or past it."""
+    rng, q = np.random.default_rng(4), np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
+    cameras = [camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))]
+    cameras.append(dataclasses.replace(cameras[0], width=97, height=73, K=np.diag([80.0, 80.0, 1.0]) + K_OFF))
+    outlines = [robot_outline(MODEL, q, camera) for camera in cameras]
+    views = []
+    for camera, outline in zip(cameras, outlines, strict=True):
+        shape = outline.mask.shape
+        surface = arm_depth(MODEL, q, camera, outline.mask)
+        depth = surface + rng.choice([0.0, -0.3, 0.3, 2.0], shape) * rng.random(shape)
+        measured = np.where(rng.random(shape) < 0.1, 0, np.maximum(depth, 0)).astype(np.float32)
+        views.append(View(camera, 0, np.zeros((*shape, 3), np.uint8), measured))
+    told = off_arm(outlines, views)
+    for found, outline, view in zip(told, outlines, views, strict=True):
+        expected = off_arm_reference(outline, view)
+        assert 0 < found.before.sum() < outline.mask.sum() / 2
+        assert (found.past.astype(bool) & outline.mask).any()
+        np.testing.assert_array_equal(found.before, expected.before)
+        np.testing.assert_array_equal(found.past, expected.past)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +35,9 @@ from twin_node.model.occluders import occluders, occluders_reference
 from twin_node.model.plane import Plane
 from twin_node.model.quality import MOVING_THRESHOLD
 from twin_node.model.rendering import Rendering, Splats, render
+from twin_node.model.rest import Rest
 from twin_node.model.sweep import shell_around
-from twin_node.scene import Tier
+from twin_node.scene import Bool, Tier
 
 CAMERAS = rig(120, 90)
 MOST = 200
@@ -55,8 +57,13 @@ def world(splats: Splats) -> tuple[Gaussians, Backgrounds]:
     return store, Backgrounds(plane, shell_around(CAMERAS, 2.5))
 
 
-def observe(static: Splats, block_x: float | None, depth: bool = False, blind: int | None = None) -> list[Observed]:
-    """The block at `block_x` over what `static` says stands still, with true masks; view `blind` sees nothing move."""
+def observe(
+    static: Splats, block_x: float | None, depth: bool = False, blind: int | None = None, is_dark: bool = False
+) -> list[Observed]:
+    """The block at `block_x` over what `static` says stands still, with true masks; view `blind` sees nothing move.
+
+    No depth is measured of a block that `is_dark`, nor beside it.
+    """
     store, backgrounds = world(static)
     known = backgrounds.of(store, CAMERAS)
     now = frames(1, block_x, CAMERAS, depth)
@@ -66,6 +73,9 @@ def observe(static: Splats, block_x: float | None, depth: bool = False, blind: i
         np.abs(view.rgb / 255 - rgb).max(-1) > MOVING_THRESHOLD for view, rgb in zip(now.views, ground, strict=True)
     ]
     masks = [mask & (index != blind) for index, mask in enumerate(masks)]
+    if is_dark:
+        depths = [np.where(grow(mask, 2), 0, view.depth) for view, mask in zip(now.views, masks, strict=True)]
+        now = replace(now, views=tuple(replace(view, depth=d) for view, d in zip(now.views, depths, strict=True)))
     observer = Observer(0.15)
     with torch.no_grad():
         rest = [to_bytes(seen) for seen in render(static, CAMERAS)]
@@ -95,6 +105,15 @@ def test_what_a_view_sees_through_is_refuted() -> None:
     points = np.array([[0.1, 0.0, 0.06], [-0.3, 0.2, 0.1]])
     gone = refuted_moving(observed, [balls(points, 0.0)] * 3, np.ones(2, bool))
     assert gone.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("refuted", [refuted_moving, refuted_moving_reference])
+def test_nothing_is_seen_through_where_no_depth_is_measured(refuted: Callable[..., Bool]) -> None:
+    """Dark cloth, hair, glass: a thing that is not measured has not gone."""
+    observed = observe(table(), 0.1, depth=True, is_dark=True)
+    middle = [balls(np.array([[0.1, 0.0, 0.06]]), 0.0)] * 3
+    assert all(one.active.any() and not one.nearest[one.moving].any() for one in observed)
+    assert not refuted(observed, middle, np.ones(1, bool)).any()
 
 
 def test_what_hangs_over_the_edge_of_what_moves_is_left_to_the_fit() -> None:
@@ -347,17 +366,44 @@ def test_the_compiled_kernel_finds_what_stands_before_as_numpy_does() -> None:
 
 
 @pytest.mark.parametrize("is_first", [False, True])
-def test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(is_first: bool) -> None:
-    rng, shape = np.random.default_rng(8), (9, 14)
+@pytest.mark.parametrize("shape", [(9, 14), (1, 14), (70, 14)])
+def test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(is_first: bool, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(8)
     rules, before = Comparing(0.033, 0.05, is_first), None
-    for _ in range(4):
+    for has_depth in (True, False, True, True):
         image, background = rng.integers(0, 256, (*shape, 3), np.uint8), rng.random((*shape, 3), np.float32)
         near = background.copy()
-        near[:, :7] = image[:, :7] / 255 + rng.normal(0, 0.02, (9, 7, 3))
-        one = Pixels(image, near, rng.random(shape) > 0.1, rng.random(shape) > 0.8, before)
+        near[:, :7] = image[:, :7] / 255 + rng.normal(0, 0.02, (shape[0], 7, 3))
+        depth = rng.random(shape, np.float32) * (rng.random(shape) > 0.7) if has_depth else None
+        one = Pixels(image, near, rng.random(shape) > 0.1, rng.random(shape) > 0.8, depth, before)
         (found,), expected = compare([one], rules), compare_reference(one, rules)
         for name, values in vars(found).items():
             assert np.array_equal(values, vars(expected)[name]), name
         before, rules = found, replace(rules, is_first=False)
     assert found.stale.any()
     assert not found.stale.all()
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_what_is_seen_at_rest_is_by_kernel_what_it_is_in_numpy(depth: bool) -> None:
+    """Noise, pixels that something passes, others that are not usable, and depth that comes and goes."""
+    rng, one = np.random.default_rng(6), observe(table(), 0.1, depth)[0]
+    compiled, plain = Rest(one), Rest(one)
+    shape = one.usable.shape
+    for index in range(1, 5):
+        rgb = np.clip(one.rgb + rng.normal(0, 0.05, one.rgb.shape), 0, 1).astype(np.float32)
+        measured = None if one.view.depth is None else one.view.depth * (rng.random(shape) < 0.7)
+        seen = replace(
+            one,
+            view=replace(one.view, stamp=one.view.stamp + index * 100_000_000, depth=measured),
+            rgb=rgb,
+            usable=rng.random(shape) > 0.1,
+            near_moving=rng.random(shape) > 0.8,
+        )
+        found = compiled.look(seen, np.float32(0.1), np.float32(0.15))
+        expected = plain.look_reference(seen, np.float32(0.1), np.float32(0.15))
+        for name, own in expected._asdict().items():
+            assert np.array_equal(getattr(found, name), own), name
+        assert np.array_equal(compiled.rgb, plain.rgb)
+        assert np.array_equal(compiled.depth, plain.depth)
+    assert found.counted.any() and found.stirred.any() and not found.counted.all()

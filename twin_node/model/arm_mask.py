@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
-from twin_node.model.capsules import nearest_capsules
+from twin_node.model.capsules import SHORTEST_SQUARE, nearest_capsules
+from twin_node.model.kernel_requests import OutlineRequest, OutlineView
+from twin_node.model.kernels import kernels
+from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.robot import ArmModel, Outline, robot_outline
-from twin_node.scene import Bool, Camera, Float32, FrameSet
+from twin_node.scene import Bool, FrameSet, UInt8, View
 
 CLEAR_M, DEPTH_SHARE = 0.03, 0.01
 """What is measured so far off the grown arm is not the arm, m and as a share of the depth: errors of depth."""
@@ -24,30 +30,74 @@ def robot_masks(model: ArmModel | None, frames: FrameSet) -> tuple[Bool | None, 
     if model is None or frames.joints is None:
         return (None,) * len(frames.views)
     q = model.ordered_positions(frames.joints)
-    return tuple(shown_arm(robot_outline(model, q, view.camera), view.camera, view.depth) for view in frames.views)
+    outlines = [robot_outline(model, q, view.camera) for view in frames.views]
+    return tuple(shown_arms(outlines, frames.views))
 
 
-def shown_arm(outline: Outline, camera: Camera, depth: Float32 | None) -> Bool:
-    """The pixels [H, W] of an outline, unless `depth` [H, W] (m, 0 where it is not measured) shows something else."""
-    return outline.mask if depth is None else outline.mask & ~_others(outline, camera, depth)
-
-
-def _others(outline: Outline, camera: Camera, depth: Float32) -> Bool:
-    """[H, W] those pixels of an outline that show a point well off every capsule.
+def shown_arms(outlines: Sequence[Outline], views: Sequence[View]) -> list[Bool]:
+    """The pixels [H, W] of each view's outline, unless its depth shows something else.
 
     In front of the arm, nearer to the camera than the place on an axis that is nearest to it, single pixels do not
     count; past it, where the arm was only grown to, all neighbours must be past it too.
     """
+    masks = [outline.mask for outline in outlines]
+    measured = [index for index, view in enumerate(views) if view.depth is not None]
+    told = off_arm([outlines[index] for index in measured], [views[index] for index in measured])
+    for index, off in zip(measured, told, strict=True):
+        opened, inner = cv2.morphologyEx(off.before, cv2.MORPH_OPEN, AROUND), cv2.erode(off.past, AROUND)
+        masks[index] = masks[index] & ~(opened.astype(bool) | inner.astype(bool))
+    return masks
+
+
+class OffArm(NamedTuple):
+    """What depth shows that is well off every capsule of the arm, [H, W] 0 or 1."""
+
+    before: UInt8
+    """Within the outline, in front of the arm."""
+    past: UInt8
+    """Past the arm, or beyond the outline."""
+
+
+def off_arm(outlines: Sequence[Outline], views: Sequence[View]) -> list[OffArm]:
+    """What each of `views`, all of which measure depth, shows off the arm."""
+    library = kernels()
+    if library is None or not outlines:
+        return [off_arm_reference(*of) for of in zip(outlines, views, strict=True)]
+    calls = [_Call(*of) for of in zip(outlines, views, strict=True)]
+    asked = array_of(OutlineView, [call.view for call in calls])
+    rules = (SHORTEST_SQUARE, CLEAR_M, DEPTH_SHARE)
+    library.run(OutlineRequest(len(outlines[0].radii), *rules, len(calls), thread_count(), asked))
+    return [call.found for call in calls]
+
+
+class _Call:
+    """One view's request, and the arrays that it points to."""
+
+    def __init__(self, outline: Outline, view: View) -> None:
+        assert view.depth is not None
+        shape = outline.mask.shape
+        self.found = OffArm(np.empty(shape, np.uint8), np.empty(shape, np.uint8))
+        self._held = [
+            *(np.ascontiguousarray(of, np.float64) for of in (view.camera.K, outline.ends, outline.radii)),
+            np.ascontiguousarray(outline.mask),
+            np.ascontiguousarray(view.depth, np.float32),
+        ]
+        self.view = OutlineView(shape[1], shape[0], *addresses_of(*self._held, *self.found))
+
+
+def off_arm_reference(outline: Outline, view: View) -> OffArm:
+    """The same of one view in NumPy: the reference of the compiled kernel."""
+    depth, K = view.depth, view.camera.K
+    assert depth is not None
     at = np.flatnonzero(outline.mask & (depth > 0))  # counted row by row: many times as fast as by row and column
-    rows, columns = np.divmod(at, camera.width)
-    z, K = depth.ravel()[at].astype(np.float64), camera.K
+    rows, columns = np.divmod(at, view.camera.width)
+    z = depth.ravel()[at].astype(np.float64)
     points = np.stack([(columns + 0.5 - K[0, 2]) / K[0, 0] * z, (rows + 0.5 - K[1, 2]) / K[1, 1] * z, z])
     found = nearest_capsules(outline.ends, outline.radii, points)
     begins, lengths = outline.ends[:, 0, 2], outline.ends[:, 1, 2] - outline.ends[:, 0, 2]
     nearer = z < begins[found.capsules] + found.shares * lengths[found.capsules]
     clear = found.gaps > CLEAR_M + DEPTH_SHARE * z
-    before, past = np.zeros(depth.shape, np.uint8), (~outline.mask).astype(np.uint8)
-    before.ravel()[at] = clear & nearer
-    past.ravel()[at] = clear & ~nearer
-    opened = cv2.morphologyEx(before, cv2.MORPH_OPEN, AROUND)
-    return (opened > 0) | (cv2.erode(past, AROUND) > 0)
+    off = OffArm(np.zeros(depth.shape, np.uint8), (~outline.mask).astype(np.uint8))
+    off.before.ravel()[at] = clear & nearer
+    off.past.ravel()[at] = clear & ~nearer
+    return off

@@ -81,9 +81,9 @@ def carry(poses: Poses, carriers: Tensor) -> Carriage:
     shapes = ((3, 3), (3,), (4, 4))
     sizes = [times * (nodes + 1) * math.prod(shape) for shape in shapes]
     found = torch.empty(sum(sizes))
-    held = (poses.positions.contiguous(), poses.quats.contiguous(), *found.split(sizes))
+    held = (poses.positions.contiguous(), poses.quats.contiguous(), *torch.split(found, sizes))
     library.run(CarryRequest(times, nodes, *(t.data_ptr() for t in held)))
-    there = found.to(carriers.device).split(sizes)  # in one go: another device takes a dozen times as long to find them
+    there = torch.split(found.to(carriers.device), sizes)  # found there, they would be dozens of small kernels
     turns, shifts, products = (of.view(times, nodes + 1, *shape) for of, shape in zip(there, shapes, strict=True))
     return Carriage(turns, shifts, products, carriers.remainder(nodes + 1))  # -1 is the row at rest
 

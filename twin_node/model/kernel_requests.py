@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 25
+INTERFACE_VERSION = 26
 
 
 class MaskRules(ctypes.Structure):
@@ -126,9 +126,9 @@ class ObservedView(ctypes.Structure):
     """`model::ObservedView`."""
 
     _fields_ = (
-        ("pixels", c_int64),
-        *((name, c_void_p) for name in ("image", "background", "usable", "near_moving", "known", "before_s")),
-        *((name, c_void_p) for name in ("rgb", "surprise", "misfit", "wrong_s", "stale", "active")),
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("image", "background", "usable", "near_moving", "depth", "known", "before_s")),
+        *((name, c_void_p) for name in ("rgb", "surprise", "misfit", "wrong_s", "stale", "active", "nearest")),
     )
 
 
@@ -202,6 +202,40 @@ class CapsuleRequest(KernelRequest):
         *((name, c_int64) for name in ("points", "capsules")),
         ("shortest_square", c_double),
         *((name, c_void_p) for name in ("ends", "radii", "at", "gaps", "nearest", "shares")),
+    )
+
+
+class StillRequest(KernelRequest):
+    """`model::StillRequest`."""
+
+    KERNEL = "still"
+    _fields_ = (
+        ("pixels", c_int64),
+        ("threads", c_int32),
+        *((name, c_float) for name in ("threshold", "uptake", "since_s", "calm_s")),
+        *((name, c_void_p) for name in ("image", "background", "usable", "near_moving", "measured")),
+        *((name, c_void_p) for name in ("rgb", "depth", "calm_for_s", "hidden", "stirred", "counted", "difference")),
+    )
+
+
+class OutlineView(ctypes.Structure):
+    """`model::OutlineView`."""
+
+    _fields_ = (
+        *((name, c_int32) for name in ("width", "height")),
+        *((name, c_void_p) for name in ("K", "ends", "radii", "outline", "depth", "before", "past")),
+    )
+
+
+class OutlineRequest(KernelRequest):
+    """`model::OutlineRequest`."""
+
+    KERNEL = "outline"
+    _fields_ = (
+        ("capsules", c_int64),
+        *((name, c_double) for name in ("shortest_square", "clear_m", "depth_share")),
+        *((name, c_int32) for name in ("count", "threads")),
+        ("views", ctypes.POINTER(OutlineView)),
     )
 
 

@@ -60,13 +60,15 @@ class Pixels:
     usable: Bool
     """[H, W], see `Observed`, as the next one."""
     near_moving: Bool
+    depth: Float32 | None
+    """[H, W] m; 0 where it is not measured; None: nowhere."""
     before: Compared | None
     """Those of the set before; None where there are none of this size."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """What a view differs by from its background; all but the last as in `Observed`, images [H, W, ...]."""
+    """What a view differs by from its background; all but `wrong_s` as in `Observed`, images [H, W, ...]."""
 
     rgb: Float32
     surprise: Float32
@@ -75,6 +77,7 @@ class Compared:
     """[H, W] for how long the background has been wrong, s."""
     stale: Bool
     active: Bool
+    nearest: Float32 | None
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ class Observer:
                 one.surprise,
                 one.misfit,
                 one.active,
-                _nearest(view.depth),
+                one.nearest,
                 one.stale,
             )
             for view, mask, background, pixels, one in zip(frames.views, moving, backgrounds, views, found, strict=True)
@@ -136,7 +139,7 @@ class Observer:
         if before is not None and before.misfit.shape != mask.shape:
             before = None
         grown = grow(mask, background.margin_px)
-        return Pixels(view.rgb, background.rgb, usable, grown, before)
+        return Pixels(view.rgb, background.rgb, usable, grown, view.depth, before)
 
 
 def compare(views: Sequence[Pixels], rules: Comparing) -> list[Compared]:
@@ -168,11 +171,13 @@ class _Call:
             wrong_s=np.empty(shape, np.float32),
             stale=np.empty(shape, bool),
             active=np.empty(shape, bool),
+            nearest=None if one.depth is None else np.empty(shape, np.float32),
         )
         self._held = [np.ascontiguousarray(a) for a in (one.image, one.background, one.usable, one.near_moving)]
+        self._depth = None if one.depth is None else np.ascontiguousarray(one.depth, np.float32)
         before = (None, None) if one.before is None else (one.before.misfit, one.before.wrong_s)
-        arrays = (*self._held, *before, *vars(self.found).values())
-        self.view = ObservedView(one.usable.size, *addresses_of(*arrays))
+        arrays = (*self._held, self._depth, *before, *vars(self.found).values())
+        self.view = ObservedView(shape[1], shape[0], *addresses_of(*arrays))
 
 
 def compare_reference(one: Pixels, rules: Comparing) -> Compared:
@@ -189,14 +194,15 @@ def compare_reference(one: Pixels, rules: Comparing) -> Compared:
     wrong = surprise > MOVING_THRESHOLD
     wrong_s = np.where(wrong & ~one.near_moving, before_s + np.float32(rules.elapsed_s), np.float32(0))
     active = (one.near_moving | wrong) & one.usable
-    return Compared(rgb, surprise, misfit, wrong_s, wrong_s > rules.stale_s, active)
+    return Compared(rgb, surprise, misfit, wrong_s, wrong_s > rules.stale_s, active, _nearest(one.depth))
 
 
 def _nearest(depth: Float32 | None) -> Float32 | None:
     if depth is None:
         return None
-    around = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), np.ones((3, 3), np.uint8))
-    return np.where(np.isfinite(around), around, np.float32(0)).astype(np.float32)
+    unknown = np.finfo(np.float32).max  # as far as cv2.erode goes: of infinity it makes that
+    around = cv2.erode(np.where(depth > 0, depth, unknown), np.ones((3, 3), np.uint8))
+    return np.where(around < unknown, around, np.float32(0)).astype(np.float32)
 
 
 def largest_channel(a: Float32, b: Float32) -> Float32:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from twin_node.model.gaussians import LOGIT, Gaussians
-from twin_node.model.kernels import kernels_for
+from twin_node.model.kernels import kernels, kernels_for
 from twin_node.model.motion import Motion
 from twin_node.model.node_requests import ExtentRequest, PublishRequest
 from twin_node.model.nodes import Nodes, Poses
@@ -23,10 +23,14 @@ from twin_node.scene import GaussianCloud, NodeStates
 def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
     """All living Gaussians at the nodes' stamp, STATIC ones first; `nodes` are rows of `node_states_of`."""
     rows, nodes = torch.cat([gaussians.static_rows, gaussians.other_rows]), motion.nodes
-    library = kernels_for(gaussians.values.device)
+    library = kernels()
     if library is None or motion.bends:
         return cloud_reference(gaussians, motion, rows)
     count = len(rows)
+    stored = [gaussians.values, gaussians.nodes, gaussians.ids, gaussians.tiers]
+    if rows.device.type != "cpu":
+        stored = [of.index_select(0, rows).cpu() for of in stored]
+        rows = torch.arange(count)
     cloud = GaussianCloud(
         means=np.empty((count, 3), np.float32),
         quats=np.empty((count, 4), np.float32),
@@ -39,7 +43,7 @@ def cloud_of(gaussians: Gaussians, motion: Motion) -> GaussianCloud:
         nodes=np.empty(count, np.int32),
     )
     given = (
-        *(rows, gaussians.values, gaussians.nodes, gaussians.ids, gaussians.tiers, _published(nodes)),
+        *(rows, *stored, _published(nodes)),
         *(t.contiguous() for t in (nodes.positions, nodes.quats, nodes.velocities, nodes.angular_velocities)),
     )
     written = addresses_of(*vars(cloud).values())

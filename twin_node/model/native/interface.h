@@ -7,7 +7,9 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 25;
+constexpr int32_t kInterfaceVersion = 26;
+
+constexpr int kRowsPerTask = 32;  // of an image whose pixels are independent
 
 // What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
 struct MaskRules {
@@ -69,6 +71,19 @@ struct RestRequest {
   float *rest;      // [h, w, 3]
 };
 
+// What one camera sees where nothing moves, which is brought up to date in place, beside what stands behind it.
+struct StillRequest {
+  int64_t pixels;
+  int32_t threads;
+  float threshold, uptake, since_s, calm_s;
+  const float *image, *background;      // [H, W, 3] 0 to 1
+  const uint8_t *usable, *near_moving;  // [H, W]
+  const float *measured;                // [H, W] m, 0 where nothing is, or null
+  float *rgb, *depth, *calm_for_s;      // [H, W, 3], [H, W] m, s: brought up to date
+  uint8_t *hidden, *stirred, *counted;  // [H, W] written
+  float *difference;                    // [H, W] written, 0 to 1
+};
+
 // Images of Gaussians, drawn on nothing, that are put before what stands behind them.
 struct BackdropRequest {
   int64_t pixels;
@@ -84,14 +99,16 @@ struct ObserveRules {
 
 // One view, and what is remembered of its pixels.
 struct ObservedView {
-  int64_t pixels;
+  int32_t width, height;
   const uint8_t *image;                  // [H, W, 3]
   const float *background;               // [H, W, 3]
   const uint8_t *usable, *near_moving;   // [H, W]
+  const float *depth;                    // [H, W] m, 0 where it is not measured, or null
   const float *known, *before_s;         // [H, W] `misfit` and `wrong_s` of the set before, or null
   float *rgb, *surprise;                 // [H, W, 3], [H, W] written, as the next ones
   float *misfit, *wrong_s;               // [H, W]
   uint8_t *stale, *active;               // [H, W]
+  float *nearest;                        // [H, W] m, or null as `depth`
 };
 
 struct ObserveRequest {
@@ -126,6 +143,25 @@ struct CapsuleRequest {
   double *gaps;            // [points] written, m: to the nearest surface, negative inside
   int64_t *nearest;        // [points] written: whose that is, of equally near ones the first
   double *shares;          // [points] written, 0 to 1: where on its axis the nearest place is
+};
+
+// What one view shows within the outline of an arm.
+struct OutlineView {
+  int32_t width, height;
+  const double *K;         // [3, 3]
+  const double *ends;      // [capsules, 2, 3] m, in the optical frame
+  const double *radii;     // [capsules] m
+  const uint8_t *outline;  // [H, W]
+  const float *depth;      // [H, W] m, 0 where it is not measured
+  uint8_t *before, *past;  // [H, W] written: in front of the arm; past it, or beyond the outline
+};
+
+struct OutlineRequest {
+  int64_t capsules;
+  double shortest_square;       // m^2, as above
+  double clear_m, depth_share;  // what is farther than both together, m and of the depth, is off the arm
+  int32_t count, threads;
+  const OutlineView *views;  // [count]
 };
 
 // One view of points that move, and of the STATIC Gaussians.

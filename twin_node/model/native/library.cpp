@@ -18,9 +18,11 @@
 #include "newborns.h"
 #include "observing.h"
 #include "occluders.h"
+#include "outline.h"
 #include "poses.h"
 #include "publishing.h"
 #include "semi_global.h"
+#include "still.h"
 #include "velocities.h"
 
 namespace {
@@ -29,6 +31,19 @@ namespace {
 template <class Task>
 int32_t side_by_side(int threads, int64_t count, const Task &task) {
   return boundary::guarded([&] { crew::parallel_for(threads, count, task); });
+}
+
+// The same of bands of rows of `count` views, whose heights `views` tell: `task(view, first row)`.
+template <class View, class Task>
+int32_t band_by_band(int threads, int64_t count, const View *views, int rows, const Task &task) {
+  int tallest = 0;
+  for (int64_t i = 0; i < count; i++) tallest = std::max(tallest, views[i].height);
+  const int64_t bands = (tallest + rows - 1) / rows;
+  return side_by_side(threads, count * bands, [&](int64_t i) {
+    const View &view = views[i / bands];
+    const int first = static_cast<int>(i % bands) * rows;
+    if (first < view.height) task(view, first);
+  });
 }
 
 }  // namespace
@@ -80,15 +95,20 @@ void model_move_velocities(const model::MoveRequest *request) { model::move_velo
 
 void model_capsules(const model::CapsuleRequest *request) { model::find_nearest_capsules(*request); }
 
+int32_t model_outline(const model::OutlineRequest *r) {
+  return band_by_band(r->threads, r->count, r->views, model::kRowsPerTask,
+                      [&](const model::OutlineView &view, int first) { model::tell_outline(*r, view, first); });
+}
+
 void model_take_damped(const model::DampedRequest *request) { model::take_damped(*request); }
 
 void model_group(const model::GroupRequest *request) { model::group(*request); }
 
 void model_add_up(const model::SumRequest *request) { model::add_up(*request); }
 
-int32_t model_observe(const model::ObserveRequest *request) {
-  return side_by_side(request->threads, request->count,
-                      [&](int64_t i) { model::observe(*request->rules, request->views[i]); });
+int32_t model_observe(const model::ObserveRequest *r) {
+  return band_by_band(r->threads, r->count, r->views, model::kRowsPerTask,
+                      [&](const model::ObservedView &view, int first) { model::observe(*r->rules, view, first); });
 }
 
 int32_t model_ratios(const model::RatioRequest *request) {
@@ -98,6 +118,12 @@ int32_t model_ratios(const model::RatioRequest *request) {
 void model_put_before(const model::BackdropRequest *request) { model::put_before(*request); }
 
 void model_remember(const model::RestRequest *request) { model::remember(*request); }
+
+int32_t model_still(const model::StillRequest *request) {
+  const int64_t tasks = (request->pixels + model::kStillPerTask - 1) / model::kStillPerTask;
+  return side_by_side(request->threads, tasks,
+                      [&](int64_t i) { model::look_at_still(*request, i * model::kStillPerTask); });
+}
 
 int32_t model_occluders(const model::OccluderRequest *request) {
   return boundary::guarded([&] { model::find_occluders(*request); });

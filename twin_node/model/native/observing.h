@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <vector>
 
 #include "interface.h"
 
@@ -26,9 +28,10 @@ inline void take_colours(const ObservedView &v, int64_t first, int64_t count, fl
   }
 }
 
-inline void observe(const ObserveRules &rules, const ObservedView &v) {
-  for (int64_t first = 0; first < v.pixels; first += kAtOnce) {
-    const int64_t count = std::min(kAtOnce, v.pixels - first);
+// Pixels [first, end) beside the background.
+inline void compare_pixels(const ObserveRules &rules, const ObservedView &v, int64_t first, int64_t end) {
+  for (; first < end; first += kAtOnce) {
+    const int64_t count = std::min(kAtOnce, end - first);
     float difference[kAtOnce], known[kAtOnce], before_s[kAtOnce];
     take_colours(v, first, count, difference);
     const uint8_t *__restrict usable = v.usable + first, *__restrict near_moving = v.near_moving + first;
@@ -50,6 +53,33 @@ inline void observe(const ObserveRules &rules, const ObservedView &v) {
       active[i] = (moves | wrong) & (usable[i] != 0);
     }
   }
+}
+
+// The smallest depth measured in the 3 x 3 pixels around those of rows [first, end); 0 where there is none.
+inline void find_nearest_depth(const ObservedView &v, int first, int end) {
+  constexpr float kNone = std::numeric_limits<float>::infinity();
+  const int64_t width = v.width;
+  std::vector<float> lowest(width + 2, kNone);
+  for (int row = first; row < end; row++) {
+    float *__restrict low = lowest.data() + 1, *__restrict nearest = v.nearest + row * width;
+    std::fill_n(low, width, kNone);
+    for (int y = std::max(row - 1, 0); y <= std::min(row + 1, v.height - 1); y++) {
+      const float *__restrict depth = v.depth + y * width;
+      for (int64_t x = 0; x < width; x++) low[x] = depth[x] > 0 && depth[x] < low[x] ? depth[x] : low[x];
+    }
+    for (int64_t x = 0; x < width; x++) {
+      const float beside = low[x - 1] < low[x + 1] ? low[x - 1] : low[x + 1];
+      const float least = beside < low[x] ? beside : low[x];
+      nearest[x] = least < kNone ? least : 0.f;
+    }
+  }
+}
+
+// Rows [first, first + kRowsPerTask).
+inline void observe(const ObserveRules &rules, const ObservedView &v, int first) {
+  const int end = std::min(first + kRowsPerTask, v.height);
+  compare_pixels(rules, v, static_cast<int64_t>(first) * v.width, static_cast<int64_t>(end) * v.width);
+  if (v.depth != nullptr) find_nearest_depth(v, first, end);
 }
 
 }  // namespace model
