@@ -8,10 +8,11 @@ import pytest
 
 from twin_node.model.flow import flows
 from twin_node.model.kernels import kernels
-from twin_node.model.patch_flow import SIDE, flow_between
+from twin_node.model.patch_flow import SIDE, WIDTH, flow_between
 from twin_node.scene import Bool, Float32, UInt8
 
 SIZE = (70, 94)
+SIZES = [SIZE, (45, 33), (16, 40), (9, 8), (7, 30), (33, 70)]
 
 
 def textured(shape: tuple[int, int], seed: int = 0) -> Float32:
@@ -96,11 +97,25 @@ def test_a_rendering_with_what_is_no_number_tells_the_motion_of_the_rest() -> No
         assert np.median(np.linalg.norm(flow[:, :24] - np.array([1, 0], np.float32), axis=-1)) < 0.1
 
 
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (1.4, -0.6), (-5.3, 3.7), (15.0, -12.5)])
+def test_in_wide_images_the_flow_is_the_shift_to_a_fifth_of_a_pixel_and_found_twice_as_far(
+    shift: tuple[float, float],
+) -> None:
+    shape = (141, 2 * WIDTH + 1)
+    rgb, wanted = textured(shape), middle(shape)
+    [flow] = flows([with_depth(rgb)], [moved(rgb, shift)], [wanted])
+    errors = np.linalg.norm(flow[wanted] - np.array(shift, np.float32), axis=-1)
+    assert np.median(errors) < 0.16
+    assert np.percentile(errors, 95) < 0.2
+    far = cv2.dilate(wanted.astype(np.uint8), np.ones((4 * SIDE + 1, 4 * SIDE + 1), np.uint8)) == 0
+    assert not flow[far].any()
+
+
 @pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_compiled_flow_is_that_in_numpy() -> None:
     random = np.random.default_rng(3)
     shown, images, wanted = [], [], []
-    for number, shape in enumerate([(70, 94), (45, 33), (16, 40), (9, 8), (7, 30), (33, 70)]):
+    for number, shape in enumerate([*SIZES, (37, 645), (15, 1290)]):
         rgb = textured(shape, number)
         mask = cv2.GaussianBlur(random.random(shape), (0, 0), 3.0) > 0.5
         shown.append(with_depth(rgb))

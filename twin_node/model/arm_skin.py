@@ -170,7 +170,7 @@ class ArmSkin:
         """
         one = skin.one
         at = (skin.rows, skin.columns)
-        error = largest_channel(one.rgb[at], shown.rgb.cpu().numpy()[at])
+        error = largest_channel(one.rgb[at], shown.pixels[..., :3][at])
         worst = np.argsort(-error, kind="stable")[:MOST_BORN]
         worst = worst[error[worst] > WRONG]
         if not len(worst):

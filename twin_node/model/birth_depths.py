@@ -111,7 +111,7 @@ def known_depths(one: Observed, rendering: Rendering, pixels: Pixels, far: Float
 
     The median of all that moves where none do; a guess before the background, `far` [n] m, where nothing does.
     """
-    shown = rendering.rgbd.detach().cpu().numpy().astype(np.float64)
+    shown = rendering.pixels.astype(np.float64)
     rgb, depth = shown[..., :3], shown[..., 3]
     closer = (depth > 0) & (depth < CLOSER * one.background.depth)
     if not closer.any():

@@ -87,7 +87,7 @@ def _unexplained(one: Observed, rendering: Rendering, quota: int, side: int) -> 
     counts = one.active & (one.surprise > 0.5 * MOVING_THRESHOLD) & (~one.stale | (one.background.alpha < SOLID))
     at = np.nonzero(counts)
     error = np.zeros_like(one.surprise)
-    error[at] = largest_channel(image[at], rendering.rgb.detach().cpu().numpy()[at])
+    error[at] = largest_channel(image[at], rendering.pixels[..., :3][at])
     errors, colours = _block_means(error, BLOCK), _block_means(image, BLOCK)
     wrong = errors > MOVING_THRESHOLD
     times = side // BLOCK

@@ -51,7 +51,7 @@ class _Call:
 
     def __init__(self, one: Observed, rendering: Rendering, quota: int) -> None:
         camera, background = one.view.camera, one.background
-        images = (one.rgb, rendering.rgbd.detach().cpu().numpy())
+        images = (one.rgb, rendering.pixels)
         given: list[NDArray[np.generic] | None] = [
             *(np.ascontiguousarray(matrix, np.float64) for matrix in (camera.viewmat, camera.K, camera.T_base_cam)),
             *(np.ascontiguousarray(image, np.float32) for image in images),

@@ -78,7 +78,7 @@ class _Views:
 
 def _given(one: Observed, rendering: Rendering | None) -> list[NDArray[np.generic] | None]:
     camera, background, static = one.view.camera, one.background, one.background.static
-    shown = None if rendering is None else rendering.rgbd.detach().cpu().numpy()
+    shown = None if rendering is None else rendering.pixels
     return [
         None if array is None else np.ascontiguousarray(array, dtype)
         for array, dtype in (

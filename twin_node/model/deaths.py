@@ -103,7 +103,7 @@ def judge_static_reference(observed: Sequence[Observed], renderings: Sequence[Re
     proven = np.zeros(count, bool)
     for one, rendering in zip(observed, renderings, strict=True):
         seen = one.background.static
-        front = rendering.depth.cpu().numpy()[seen.rows, seen.columns]
+        front = rendering.pixels[..., 3][seen.rows, seen.columns]
         covered = one.active[seen.rows, seen.columns] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
         visible = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[seen.rows, seen.columns]
         changed = one.surprise[seen.rows, seen.columns] > MOVING_THRESHOLD

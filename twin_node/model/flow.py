@@ -10,7 +10,7 @@ import numpy as np
 from twin_node.model.kernel_requests import FlowRequest, FlowRules, FlowView
 from twin_node.model.kernels import kernels
 from twin_node.model.observation import Observed
-from twin_node.model.patch_flow import BORDER, LEVELS, PASSES, STEPS, STIFFNESS, STRIDE, flow_between
+from twin_node.model.patch_flow import BORDER, LEVELS, PASSES, STEPS, STIFFNESS, STRIDE, WIDTH, flow_between
 from twin_node.model.rendering import Rendering
 from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, UInt8
@@ -21,7 +21,7 @@ def flows_between(renderings: Sequence[Rendering], observed: Sequence[Observed])
 
     0 but for the patches that hold pixels near what moves.
     """
-    shown = [rendering.rgbd.detach().cpu().numpy() for rendering in renderings]
+    shown = [rendering.pixels for rendering in renderings]
     return flows(shown, [one.view.rgb for one in observed], [one.near_moving for one in observed])
 
 
@@ -39,6 +39,6 @@ def flows(shown: Sequence[Float32], images: Sequence[UInt8], wanted: Sequence[Bo
         FlowView(flow.shape[1], flow.shape[0], *addresses_of(*given, flow))
         for given, flow in zip(held, found, strict=True)
     ]
-    rules = ctypes.pointer(FlowRules(STRIDE, LEVELS, PASSES, STEPS, BORDER, STIFFNESS))
+    rules = ctypes.pointer(FlowRules(STRIDE, LEVELS, PASSES, STEPS, BORDER, WIDTH, STIFFNESS))
     library.run(FlowRequest(len(views), thread_count(), rules, array_of(FlowView, views)))
     return found

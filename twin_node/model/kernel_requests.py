@@ -84,7 +84,7 @@ class FlowRules(ctypes.Structure):
     """`model::FlowRules`."""
 
     _fields_ = (
-        *((name, c_int32) for name in ("stride", "levels", "passes", "steps", "border")),
+        *((name, c_int32) for name in ("stride", "levels", "passes", "steps", "border", "width")),
         ("stiffness", c_float),
     )
 

@@ -76,7 +76,7 @@ class NormalEquations:
             one.view.camera.viewmat,
             one.view.camera.K,
             one.near_moving & one.usable,
-            rendering.rgbd.detach().cpu().numpy(),
+            rendering.pixels,
             one.rgb,
             flow,
             one.view.depth,
@@ -125,7 +125,7 @@ def linearise(one: Observed, rendering: Rendering, flow: Float32, group: Carried
     """How the pixels and depths of those of `group` that show move with their nodes."""
     camera = one.view.camera
     seen = look(camera, group.means)
-    shown = rendering.depth.detach().cpu().numpy()
+    shown = rendering.pixels[..., 3]
     visible = seen.inside & (one.near_moving & one.usable)[seen.rows, seen.columns]
     visible &= np.abs(seen.depth - shown[seen.rows, seen.columns]) < SHOWN * seen.depth
     at = np.flatnonzero(visible)
@@ -171,7 +171,7 @@ def _depth_error(one: Observed, shown: Float32, flow: Float32) -> tuple[Float32,
 def _confidence(one: Observed, rendering: Rendering, flow: Float32) -> Float32:
     """[H, W] 0 to 1: whether the image shows at the flow's end what the rendering shows at its start."""
     arrived = _at_the_end(one.rgb, flow, cv2.INTER_LINEAR)
-    difference = arrived - rendering.rgb.detach().cpu().numpy()
+    difference = arrived - rendering.pixels[..., :3]
     confidence: Float32 = np.exp(-np.square(difference).mean(-1) / np.float32(COLOUR_SIGMA**2))
     return confidence
 

@@ -20,7 +20,10 @@ SIDE = 8
 STRIDE = 4
 """Pixels from one patch to the next: at 5 bodies in small images come apart more often."""
 LEVELS = 3
-"""Of the pyramids: motions of 8 pixels are 2 on the coarsest."""
+"""Of the pyramids that are searched: motions of 8 pixels are 2 on the coarsest."""
+WIDTH = 320
+"""px: levels of twice this width or more are not searched. A tenth of a pixel of the next is as much of the scene, and
+things are found twice as far."""
 PASSES, STEPS = 2, 6
 """Times that patches look at their neighbours, and steps after each."""
 BORDER = 16
@@ -39,13 +42,22 @@ def flow_between(shown: Float32, image: UInt8, wanted: Bool) -> Float32:
         return np.zeros((*wanted.shape, 2), np.float32)
     whole = _Level((255 * np.where(shown > 0, shown, 0).clip(0, 1)) @ GREY, image.astype(np.float32) @ GREY, wanted)
     levels = [whole]
-    while len(levels) < LEVELS and min(levels[-1].wanted.shape) >= 2 * SIDE:
+    skipped = unsearched(wanted.shape[1])
+    while len(levels) < LEVELS + skipped and min(levels[-1].wanted.shape) >= 2 * SIDE:
         levels.append(levels[-1].halved())
+    skipped = min(skipped, len(levels) - 1)
     flow = None
-    for level in reversed(levels):
+    for level in reversed(levels[skipped:]):
         flow = _searched(level, flow)
     assert flow is not None
+    for level in reversed(levels[:skipped]):
+        flow = _doubled(flow, *np.indices(level.wanted.shape))
     return flow
+
+
+def unsearched(width: int) -> int:
+    """How many of the finest levels of an image so wide are not searched."""
+    return max(width // WIDTH, 1).bit_length() - 1
 
 
 @dataclass(frozen=True)
@@ -131,8 +143,7 @@ def _searched(level: _Level, coarser: Float32 | None) -> Float32:
     patches, shape = _Patches(level), level.wanted.shape
     shifts = np.zeros((len(patches), 2), np.float32)
     if coarser is not None:
-        middle = ((patches.tops + SIDE // 2) // 2, (patches.lefts + SIDE // 2) // 2)
-        shifts = 2 * coarser[tuple(np.minimum(at, side - 1) for at, side in zip(middle, coarser.shape, strict=False))]
+        shifts = _doubled(coarser, patches.tops + SIDE // 2, patches.lefts + SIDE // 2)
     rim = np.pad(level.shown, 1, mode="edge")
     sums, steps = rim[:-2] + 2 * rim[1:-1] + rim[2:], rim[2:] - rim[:-2]
     across = ((sums[:, 2:] - sums[:, :-2]) / 8).astype(np.float32)
@@ -141,6 +152,13 @@ def _searched(level: _Level, coarser: Float32 | None) -> Float32:
     for _ in range(PASSES):
         shifts = _descended(patches, gradients, _best_around(patches, shifts))
     return _spread(patches, shifts, shape)
+
+
+def _doubled(coarser: Float32, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Float32:
+    """[..., 2] the flow of pixels at `rows` and `columns` [...] by that of the level above theirs [H, W, 2]."""
+    at = tuple(np.minimum(of // 2, side - 1) for of, side in zip((rows, columns), coarser.shape, strict=False))
+    doubled: Float32 = 2 * coarser[at]
+    return doubled
 
 
 def _best_around(patches: _Patches, shifts: Float32) -> Float32:

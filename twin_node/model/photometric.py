@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
 from twin_node import splat
 from twin_node.model.rendering import Rendering, Sheet, Shots, Splats, shoot, shots_of
+from twin_node.model.transfers import sent
 from twin_node.scene import Bool, Float32, View
 
 DEPTH_WEIGHT = 0.05
@@ -68,7 +67,7 @@ def goal_of(
     if any(own != size for own in sizes):
         cameras = [replace(camera, height=size[0], width=size[1]) for camera in cameras]
         masks = _whole(masks, sizes)  # what is added is not drawn
-    drawn = None if all(mask is None for mask in masks) else _together(_whole(masks, sizes), size)
+    drawn = None if all(mask is None for mask in masks) else _whole(masks, sizes)
     behind = None if backdrops is None else [_grown(backdrop, size) for backdrop in backdrops]
     return Goal(
         shots_of(cameras, drawn, behind, device),
@@ -97,10 +96,10 @@ def _colours(
 ) -> Tensor:
     """[C, *size, 3] the views' images, 0 to 1; another device is sent bytes, and makes numbers of them itself."""
     if device.type != "cpu":
-        return torch.from_numpy(_together([view.rgb for view in views], size)).to(device).float().div_(255)
+        return sent([view.rgb for view in views], size, device).float().div_(255)
     if images is None:
         images = [np.divide(view.rgb, np.float32(255), dtype=np.float32) for view in views]
-    return torch.from_numpy(_together(images, size))
+    return sent(images, size, device)
 
 
 def _weights(
@@ -114,7 +113,7 @@ def _weights(
     scales = [1 / np.float32(max(int(np.count_nonzero(mask)), 1) / pixels) for mask in whole]
     if device.type != "cpu":
         own = torch.tensor(scales, dtype=torch.float32)[:, None, None].to(device)
-        return torch.from_numpy(_together(whole, size)).to(device) * own
+        return sent(whole, size, device) * own
     weights = np.zeros((len(counted), *size), np.float32)
     for mask, scale, (height, width), out in zip(whole, scales, sizes, weights, strict=True):
         np.multiply(mask, scale, out=out[:height, :width])
@@ -126,17 +125,7 @@ def _depths(views: Sequence[View], size: tuple[int, int], device: torch.device) 
     if all(view.depth is None for view in views):
         return None
     depths = [np.zeros(view.rgb.shape[:2], np.float32) if view.depth is None else view.depth for view in views]
-    return torch.from_numpy(_together(depths, size)).to(device)
-
-
-def _together(images: Sequence[NDArray[Any]], size: tuple[int, int]) -> NDArray[Any]:
-    """[C, *size, ...] images [H, W, ...], with zeros below and to the right of smaller ones."""
-    if all(image.shape[:2] == size for image in images):
-        return np.stack(images)
-    out = np.zeros((len(images), *size, *images[0].shape[2:]), images[0].dtype)
-    for image, own in zip(images, out, strict=True):
-        own[: image.shape[0], : image.shape[1]] = image
-    return out
+    return sent(depths, size, device)
 
 
 def _grown(image: Tensor, size: tuple[int, int]) -> Tensor:

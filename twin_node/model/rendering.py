@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -13,7 +13,8 @@ from torch import Tensor
 from twin_node import splat
 from twin_node.model.kernel_requests import BackdropRequest
 from twin_node.model.kernels import kernels_for
-from twin_node.scene import Bool, Camera
+from twin_node.model.transfers import on_host, sent
+from twin_node.scene import Bool, Camera, Float32
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class Rendering:
     """[H, W, 4] colour 0 to 1 on black, and expected depth along the optical axis, m; 0 where nothing is."""
     alpha: Tensor
     """[H, W] 0 to 1."""
+
+    @cached_property
+    def pixels(self) -> Float32:
+        """[H, W, 4] `rgbd` for NumPy, which several ask for; not to be written to."""
+        return on_host(self.rgbd)
 
     @property
     def rgb(self) -> Tensor:
@@ -111,7 +117,7 @@ def render(
     seen: dict[int, Rendering] = {}
     for chosen in by_size(cameras):
         of_size = [cameras[i] for i in chosen]
-        mask = None if masks is None else np.stack([masks[i] for i in chosen])
+        mask = None if masks is None else [masks[i] for i in chosen]
         behind = None if backdrops is None else [backdrops[i] for i in chosen]
         sheet = shoot(_at(splats, chosen), shots_of(of_size, mask, behind, splats.means.device))
         seen |= {index: Rendering(sheet.rgbd[i], sheet.alpha[i]) for i, index in enumerate(chosen)}
@@ -119,16 +125,17 @@ def render(
 
 
 def shots_of(
-    cameras: Sequence[Camera], masks: Bool | None, backdrops: Sequence[Tensor] | None, device: torch.device
+    cameras: Sequence[Camera], masks: Sequence[Bool] | None, backdrops: Sequence[Tensor] | None, device: torch.device
 ) -> Shots:
-    """What is drawn by cameras of one size inside `masks` [C, H, W], before `backdrops` [H, W, 4] each."""
+    """What is drawn by cameras of one size inside `masks`, which may be smaller, before `backdrops` [H, W, 4] each."""
+    height, width = cameras[0].height, cameras[0].width
     viewmats, Ks = (np.stack(of) for of in zip(*((one.viewmat, one.K) for one in cameras), strict=True))
     return Shots(
         torch.from_numpy(viewmats).to(device, torch.float32),
         torch.from_numpy(Ks).to(device, torch.float32),
-        cameras[0].width,
-        cameras[0].height,
-        None if masks is None else torch.from_numpy(masks).to(device),
+        width,
+        height,
+        None if masks is None else sent(masks, (height, width), device),
         None if backdrops is None else _stacked(tuple(backdrops)),
     )
 

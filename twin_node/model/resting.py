@@ -154,10 +154,10 @@ def _stirred(
     for one, rendering in zip(observed, renderings, strict=True):
         seen = one.background.static.of(chosen)
         at = (seen.rows, seen.columns)
-        front = rendering.depth.cpu().numpy()[at]
+        front = rendering.pixels[..., 3][at]
         covered = one.active[at] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
         shown = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at]
         visible |= shown
-        missed = largest_channel(one.rgb[at], rendering.rgb.cpu().numpy()[at]) - one.misfit[at]
+        missed = largest_channel(one.rgb[at], rendering.pixels[..., :3][at]) - one.misfit[at]
         changed |= shown & (missed > MOVING_THRESHOLD)
     return visible, changed

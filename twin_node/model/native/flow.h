@@ -86,6 +86,18 @@ class FlowLevel {
     return half;
   }
 
+  // Takes the flow of the level `coarser`.
+  void take(const FlowLevel &coarser) {
+    flow.resize(2 * static_cast<int64_t>(width) * height);
+    for (int y = 0; y < height; y++) {
+      for (int x = 0; x < width; x++) {
+        const Shift shift = coarser.doubled(x, y);
+        const int64_t at = static_cast<int64_t>(y) * width + x;
+        flow[2 * at] = shift.x, flow[2 * at + 1] = shift.y;
+      }
+    }
+  }
+
   // Finds the flow, from half that of the level `coarser` on or from none.
   void search(const FlowLevel *coarser) {
     prepare();
@@ -281,8 +293,11 @@ inline void find_flow(const FlowRules &rules, const FlowView &view) {
     std::fill_n(view.flow, 2 * pixels, 0.f);
     return;
   }
+  int unsearched = 0;  // of the finest levels
+  while (view.width >> (unsearched + 1) >= rules.width) unsearched++;
   std::vector<FlowLevel> levels;
-  levels.reserve(rules.levels);
+  const int most = rules.levels + unsearched;
+  levels.reserve(most);
   levels.emplace_back(rules, view.width, view.height);
   FlowLevel &whole = levels.front();
   const float *__restrict seen = view.shown;
@@ -296,10 +311,17 @@ inline void find_flow(const FlowRules &rules, const FlowView &view) {
     image[i] = 0.299f * came[3 * i] + 0.587f * came[3 * i + 1] + 0.114f * came[3 * i + 2];
   }
   std::copy_n(view.wanted, pixels, whole.wanted.begin());
-  for (int i = 1; i < rules.levels && std::min(levels.back().width, levels.back().height) >= 2 * kSide; i++) {
+  for (int i = 1; i < most && std::min(levels.back().width, levels.back().height) >= 2 * kSide; i++) {
     levels.push_back(levels.back().halved());
   }
-  for (size_t i = levels.size(); i-- > 0;) levels[i].search(i + 1 < levels.size() ? &levels[i + 1] : nullptr);
+  for (int count = static_cast<int>(levels.size()), i = count; i-- > 0;) {
+    const FlowLevel *const coarser = i + 1 < count ? &levels[i + 1] : nullptr;
+    if (coarser != nullptr && i < unsearched) {
+      levels[i].take(*coarser);
+    } else {
+      levels[i].search(coarser);
+    }
+  }
   std::copy(whole.flow.begin(), whole.flow.end(), view.flow);
 }
 

@@ -215,6 +215,7 @@ struct BirthRequest {
 // How optical flow is sought; see `patch_flow.py`.
 struct FlowRules {
   int32_t stride, levels, passes, steps, border;
+  int32_t width;  // levels twice as wide or more are not searched
   float stiffness;
 };
 
