@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from twin_node.arm.cycle import CycleParameters
 from twin_node.cell.errors import CellError
 from twin_node.cell.motion import Path
-from twin_node.cell.shapes import Form
+from twin_node.cell.shapes import Form, Shape
 from twin_node.cell.textures import Texture
+from twin_node.geometry import pose
 from twin_node.ranges import NOT_NEGATIVE, SHARE, Range, check_ranges
 from twin_node.robot import UR_NAMES
-from twin_node.scene import NAME_WANTED, is_camera_name
+from twin_node.scene import NAME_WANTED, Float64, is_camera_name
 
 Triple = tuple[float, float, float]
 
@@ -59,6 +61,18 @@ class Part:
             raise CellError(
                 f"part: a {self.form} takes {forms[self.form]} positive sizes in metres, found {list(self.size)}"
             )
+
+    @property
+    def shape(self) -> Shape:
+        """The primitive in its own frame."""
+        return Shape(Form(self.form), self.size)
+
+    @cached_property
+    def T_body_part(self) -> Float64:
+        """[4, 4] maps the primitive's coordinates to the body's."""
+        from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
+
+        return pose(Rotation.from_euler("xyz", self.rpy_deg, degrees=True).as_matrix(), np.array(self.position))
 
 
 @dataclass(frozen=True)

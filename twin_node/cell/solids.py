@@ -25,13 +25,7 @@ class Solid:
 
 def body_solids(body: Body, T_base_body: Float64, owner: int) -> list[Solid]:
     """The parts of a body at pose [4, 4]."""
-    from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
-
-    solids = []
-    for part in body.parts:
-        T = pose(Rotation.from_euler("xyz", part.rpy_deg, degrees=True).as_matrix(), np.array(part.position))
-        solids.append(Solid(Placed(Shape(Form(part.form), part.size), T_base_body @ T), part.texture, owner))
-    return solids
+    return [Solid(Placed(part.shape, T_base_body @ part.T_body_part), part.texture, owner) for part in body.parts]
 
 
 def sphere_at(center: Float64, radius: float, rotation: Float64) -> Placed:
@@ -42,12 +36,14 @@ def sphere_at(center: Float64, radius: float, rotation: Float64) -> Placed:
 def capsule_between(start: Float64, end: Float64, radius: float, side: Float64) -> Placed:
     """A capsule about two points [3], m; its x axis, and with it its texture, faces as near to `side` [3] as it can."""
     axis = end - start
-    length = float(np.linalg.norm(axis))
+    length = float(np.sqrt(axis @ axis))
     z = axis / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
     x = side - (side @ z) * z
     if x @ x < 1e-12:
         x = np.eye(3)[np.argmin(np.abs(z))]
         x -= (x @ z) * z
-    x /= np.linalg.norm(x)
-    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
-    return Placed(Shape(Form.CAPSULE, (radius, length)), pose(np.stack([x, y, z], axis=1), (start + end) / 2))
+    x /= np.sqrt(x @ x)
+    T = np.eye(4)
+    T[:3, 0], T[:3, 2], T[:3, 3] = x, z, (start + end) / 2
+    T[:3, 1] = z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]
+    return Placed(Shape(Form.CAPSULE, (radius, length)), T)
