@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from twin_node import native_build, native_library
+from twin_node.cell import kernels as cell
 from twin_node.forecast import kernels as forecast
 from twin_node.model import kernels as model
 from twin_node.native_library import NativeLibrary, address_of, addresses_of
@@ -22,6 +23,7 @@ ROOMS = {
     native_build.SPLAT: splat.kernels,
     native_build.FORECAST: forecast.kernels,
     native_build.MODEL: model.kernels,
+    native_build.CELL: cell.kernels,
 }
 
 

@@ -164,7 +164,9 @@ FORECAST = KernelSources("forecast", Path(__file__).resolve().parent / "forecast
 """Carving and growth of the forecast's grid."""
 MODEL = KernelSources("model", Path(__file__).resolve().parent / "model" / "native")
 """What the model finds in images."""
-ROOMS = (SPLAT, FORECAST, MODEL)
+CELL = KernelSources("cell", Path(__file__).resolve().parent / "cell" / "native")
+"""The simulated cell's cameras."""
+ROOMS = (SPLAT, FORECAST, MODEL, CELL)
 
 
 def _compile(source: Path, variant: str, to: Path, compiler: Sequence[str]) -> None:

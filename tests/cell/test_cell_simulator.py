@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin_node.cell import CellSource, Scenario, SimulatedRig
-from twin_node.cell.raycast import Rendering
+from twin_node.cell.rendering import Rendering
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
 from twin_node.cell.sensor import sense
 from twin_node.model.rays import back_project

@@ -8,15 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.cell.raycast import Rendering
+from twin_node.cell.kernel_requests import ColourRequest, DepthRequest
+from twin_node.cell.kernels import kernels
+from twin_node.cell.rendering import Rendering
 from twin_node.cell.scenario import Sensing
-from twin_node.scene import Bool, Float32, UInt8
+from twin_node.native_library import addresses_of
+from twin_node.scene import Float32, UInt8
 
 LENS_SIGMA_PX = 0.6
 """Blur of lens and pixel area, 1 sigma, pixels."""
 
 DEPTH_STEP = 0.04
 """Change of depth inside 3 x 3 pixels, as a share of the depth, that counts as a step."""
+
+SHORTEST_M = 0.1
+"""Nearer depth has steps as if it were this, m."""
 
 
 FARTHEST_MM = 65_535
@@ -51,19 +57,34 @@ def sense(camera: str, stamp: int, rendering: Rendering, sensing: Sensing, rng: 
 
 
 def _noisy_rgb(rgb: UInt8, sensing: Sensing, rng: np.random.Generator) -> UInt8:
-    blurred = cv2.GaussianBlur(rgb, (3, 3), LENS_SIGMA_PX).astype(np.float32)
-    noise = rng.standard_normal(rgb.shape, dtype=np.float32) * np.float32(sensing.rgb_sigma)
-    return np.clip(blurred + noise + 0.5, 0, 255).astype(np.uint8)
+    blurred = np.asarray(cv2.GaussianBlur(rgb, (3, 3), LENS_SIGMA_PX), np.uint8)
+    noise = rng.standard_normal(rgb.shape, dtype=np.float32)
+    compiled = kernels()
+    if compiled is None:
+        sensed: UInt8 = np.clip(blurred + noise * np.float32(sensing.rgb_sigma) + 0.5, 0, 255).astype(np.uint8)
+        return sensed
+    sensed = np.empty_like(blurred)
+    compiled.run(ColourRequest(rgb.size, sensing.rgb_sigma, *addresses_of(blurred, noise, sensed)))
+    return sensed
 
 
 def _noisy_depth(depth: Float32, sensing: Sensing, rng: np.random.Generator) -> NDArray[np.uint16]:
     noise = rng.standard_normal(depth.shape, dtype=np.float32)
-    millimetres = 1000 * depth + np.float32(sensing.depth_sigma_at_1m_mm) * depth * depth * noise
-    chance = np.where(_steps(depth), np.float32(sensing.edge_dropout), np.float32(sensing.depth_dropout))
-    lost = (depth == 0) | (rng.random(depth.shape, dtype=np.float32) < chance) | (millimetres >= FARTHEST_MM)
-    return np.where(lost, 0, np.maximum(millimetres + 0.5, 0)).astype(np.uint16)
-
-
-def _steps(depth: Float32) -> Bool:
-    kernel = np.ones((3, 3), np.uint8)
-    return (cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)) > DEPTH_STEP * np.maximum(depth, 0.1)
+    chance = rng.random(depth.shape, dtype=np.float32)
+    around = np.ones((3, 3), np.uint8)
+    lowest, highest = (np.asarray(of(depth, around), np.float32) for of in (cv2.erode, cv2.dilate))
+    compiled = kernels()
+    if compiled is None:
+        is_edge = highest - lowest > np.float32(DEPTH_STEP) * np.maximum(depth, np.float32(SHORTEST_M))
+        millimetres = 1000 * depth + np.float32(sensing.depth_sigma_at_1m_mm) * depth * depth * noise
+        lost = chance < np.where(is_edge, np.float32(sensing.edge_dropout), np.float32(sensing.depth_dropout))
+        lost |= (depth == 0) | (millimetres >= FARTHEST_MM)
+        return np.where(lost, 0, np.maximum(millimetres + 0.5, 0)).astype(np.uint16)
+    sensed = np.empty(depth.shape, np.uint16)
+    request = DepthRequest(
+        *(depth.size, sensing.depth_sigma_at_1m_mm, sensing.depth_dropout, sensing.edge_dropout),
+        *(DEPTH_STEP, SHORTEST_M, FARTHEST_MM),
+        *addresses_of(depth, lowest, highest, noise, chance, sensed),
+    )
+    compiled.run(request)
+    return sensed

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.cell.raycast import RayCaster, Rendering
+from twin_node.cell.raycast import RayCaster
+from twin_node.cell.rendering import Rendering
 from twin_node.cell.rig import make_rig, pinhole
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Scenario
 from twin_node.cell.sensor import RawImage, sense

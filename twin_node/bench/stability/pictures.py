@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.bench.stability.shapes import LEFT_NS, Ghosts
 from twin_node.bench.stability.shots import Shot
-from twin_node.cell.raycast import Rendering
+from twin_node.cell.rendering import Rendering
 from twin_node.model import ModelImage
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.nodes.report.quality import render_cloud, unit

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from twin_node.cell import CellSource, Scenario
-from twin_node.cell.raycast import Rendering
+from twin_node.cell.rendering import Rendering
 from twin_node.cell.simulator import SimulatedRig
 from twin_node.scene import FrameSet, UInt8
 
