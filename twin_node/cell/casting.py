@@ -35,7 +35,7 @@ def cast(rays: Float32, seen: InView, image: Rendering) -> None:
     """
     compiled = kernels()
     if compiled is None:
-        cast_plain(rays, seen, image)
+        _cast_plain(rays, seen, image)
     else:
         _cast_compiled(compiled, rays, seen, image)
 
@@ -82,7 +82,7 @@ _SHARES = np.array([(share, 1 - share) for share in textures.SHARES], np.float32
 _LAMPS = np.array([(strength, *direction) for strength, direction in LIGHTS], np.float32)
 
 
-def cast_plain(rays: Float32, seen: InView, image: Rendering) -> None:
+def _cast_plain(rays: Float32, seen: InView, image: Rendering) -> None:
     """`cast` in NumPy."""
     depth = np.where(image.depth > 0, image.depth, np.float32(np.inf))
     for solid, R, origin, rect in zip(seen.solids, seen.rotations, seen.origins, seen.rects, strict=True):
@@ -101,20 +101,20 @@ def _draw(
 ) -> None:
     left, right, top, bottom = rect
     part = (slice(top, bottom), slice(left, right))
-    local = turned(R.T, rays[:, *part].reshape(3, -1))
+    local = _turned(R.T, rays[:, *part].reshape(3, -1))
     entries = ray_entries(solid.placed.shape, origin, local)
     nearer = entries.reshape(bottom - top, right - left) < depth[part]
     hit = np.flatnonzero(nearer)
     t = entries[hit]
     points = origin[:, None] + t * local[:, hit]
     facing = normals(solid.placed.shape, points)
-    color = colors(solid.texture, points - np.float32(TEXTURE_DEPTH) * facing) * _brightness(turned(R, facing))
+    color = colors(solid.texture, points - np.float32(TEXTURE_DEPTH) * facing) * _brightness(_turned(R, facing))
     depth[part][nearer] = t
     image.owners[part][nearer] = solid.owner
     image.rgb[part][nearer] = np.minimum(color + np.float32(0.5), 255).T
 
 
-def turned(R: Float32, vectors: Float32) -> Float32:
+def _turned(R: Float32, vectors: Float32) -> Float32:
     """Vectors [3, n] turned by a rotation [3, 3]."""
     return np.stack([along(row, vectors) for row in R])
 

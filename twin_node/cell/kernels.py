@@ -24,4 +24,4 @@ def load_variant(variant: str) -> Kernels:
 @cache
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
-    return best_or_none(load_variant, "the simulated cell is drawn in plain NumPy, about ten times slower")
+    return best_or_none(load_variant, "the simulated cell is drawn in plain NumPy, about four times slower")
