@@ -13,18 +13,20 @@ from arm_cell import MODEL, READY, TURNING, WORKSPACE, Cell, Timers
 from twin_logs import START
 
 from twin_node.errors import TwinError
+from twin_node.messages import convert
 from twin_node.nodes.arm import ArmNode, make_arm_node
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.live.beside_twin import make_arm
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import FOLLOW, SEPARATION, kind_of
+from twin_node.nodes.topics import DIAGNOSTICS, FOLLOW, SEPARATION, kind_of
+from twin_node.nodes.ur_driver import DRIVEN_ARM
 from twin_node.robot import forward_kinematics
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.runtime.parameters import fill
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity, Qos
-from twin_node.scene import ObstacleKind
+from twin_node.scene import ObstacleKind, Separation
 
 
 def made(arm: dict[str, str], driver: dict[str, str], **shared: str) -> ArmNode:
@@ -84,6 +86,36 @@ def test_an_arm_that_is_driven_is_never_judged_as_a_made_up_one() -> None:
     assert told.reason == "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory"
     cell.joints()
     assert cell.somebody(at=far).reason == "clear; speeding up"
+
+
+def test_an_arm_that_a_driver_elsewhere_takes_for_another_stands() -> None:
+    """Beside the launch nobody compared the two: a UR10e was judged by the links of a UR5e, and told "clear"."""
+    here: list[Endpoint] = []
+    sections = {"/**": {"rig": {"scenario": "demo"}}, "arm": {"model": "ur5e"}}
+    cell = Cell()
+    setup = Setup("arm", cell.bus, cell.clock, Timers(), sections, "cell.yaml", lambda: None, lambda: tuple(here))
+    node = make_arm(setup)
+    node.configure()
+    far = np.full(3, 5.0)
+
+    def told_by(model: str) -> Separation:
+        driven = convert.Diagnosis(DRIVEN_ARM, convert.Level.OK, "", (convert.Reading("model", model),))
+        others = convert.Diagnosis("twin: model", convert.Level.OK, "", (convert.Reading("model", "large"),))
+        for diagnoses in ([driven], [others]):
+            cell.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(cell.clock.now(), diagnoses))
+        cell.wait(32)
+        cell.joints()
+        return cell.somebody(at=far)
+
+    assert told_by("ur10e").reason == "clear; speeding up"  # of a driver that has ended
+    here[:] = [endpoint("ur_driver", SEPARATION)]
+    told = told_by("ur10e")
+    assert told.speed_fraction == 0
+    other = "another arm is driven than judged: 'model' of 'ur_driver' is ur10e, of 'arm' ur5e"
+    assert told.reason == f"stopped: {other}"
+    found = node.diagnoses()[0]
+    assert (found.level, found.message) == (convert.Level.ERROR, f"{other}, so it stands")
+    assert told_by("ur5e").reason == "clear; speeding up"
 
 
 def beside_somebody(driver: dict[str, str], *endpoints: Endpoint, **arm: object) -> list[float]:

@@ -22,7 +22,7 @@ from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.messages.types import message_type
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
-from twin_node.nodes.ur_driver import UrDriverNode
+from twin_node.nodes.ur_driver import UrDriverNode, driven_model
 from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
@@ -103,6 +103,7 @@ def test_decisions_of_the_graph_become_slider_and_the_arm_becomes_topics(stand_i
     graph.until(lambda: graph.is_in(DriverState.HALTED))
     levels = [convert.diagnostics_from_message(message)[0].level for message in graph.heard[DIAGNOSTICS]]
     assert convert.Level.OK in levels
+    assert {driven_model(message) for message in graph.heard[DIAGNOSTICS]} == {"ur5e"}
     graph.until(lambda: convert.diagnostics_from_message(graph.heard[DIAGNOSTICS][-1])[0].level is convert.Level.ERROR)
     graph.until(lambda: graph.acknowledge() or graph.is_in(DriverState.READY))
     graph.close()

@@ -24,7 +24,8 @@ from twin_node.arm.ur import servo_stopping
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.arm_parameters import ArmParameters
-from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
+from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
+from twin_node.nodes.ur_driver import driven_model, is_other_arm
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
@@ -103,6 +104,8 @@ class ArmNode(Node):
         self._workspace = workspace
         self._outside: tuple[int, float] | None = None
         """When the arm's end was last outside the workspace, ns, and how far, m."""
+        self._driven_model: str | None = None
+        """The arm that the driver says it drives; None: it has said nothing."""
         self._refused: str | None = None
         self._ahead_s = 0.0
         """How far the newest evidence lay in the future, s."""
@@ -113,12 +116,16 @@ class ArmNode(Node):
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
+        if self._is_live:
+            self.bus.subscribe(DIAGNOSTICS, self._on_diagnostics)
         self._silence.set(SHORTEST_WAIT_S)
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """Whether it knows of an arm, whether that works where somebody looks, and whether forecasts come in time."""
         level, message = convert.Level.OK, "known"
-        if self._arm.is_made_up:
+        if (other := self._other_arm()) is not None:
+            level, message = convert.Level.ERROR, f"{other}, so it stands"
+        elif self._arm.is_made_up:
             level = convert.Level.WARN
             message = f"nobody publishes {JOINT_STATES} or {TRAJECTORY}: a made-up cycle is judged in place of an arm"
         elif self._arm.refused is not None:
@@ -187,6 +194,16 @@ class ArmNode(Node):
         self._commands.tell(separation.speed_fraction, self.clock.now())
         self.bus.publish(SEPARATION, convert.separation_to_message(separation))
 
+    def _on_diagnostics(self, message: Message) -> None:
+        self._driven_model = driven_model(message) or self._driven_model
+
+    def _other_arm(self) -> str | None:
+        """That the driver on the graph drives another arm than is judged here; None: it does not, or there is none."""
+        driven, judged = self._driven_model, self._parameters.model
+        if driven is None or self._driving() is Driving.NOBODY or not is_other_arm(driven, judged):
+            return None
+        return f"another arm is driven than judged: 'model' of 'ur_driver' is {driven}, of 'arm' {judged}"
+
     def _on_trajectory(self, message: Message) -> None:
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._arm.leave_path()
@@ -234,6 +251,8 @@ class ArmNode(Node):
         if (driving is not Driving.NOBODY or self._parameters.driven) and self._arm.is_made_up:
             why = f"an arm is driven, and nobody publishes its {JOINT_STATES} or {TRAJECTORY}"
             return standing(stamp, obstacles.stamp, f"stopped: {why}")
+        if (other := self._other_arm()) is not None:
+            return standing(stamp, obstacles.stamp, f"stopped: {other}")
         try:
             path = self._arm.ahead(stamp, heard)  # a log may be recorded before its stamps
         except ArmError as error:

@@ -11,6 +11,8 @@ from typing import Any
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, SupervisedDriver, UrParameters
 from twin_node.messages import Message, convert
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
+from twin_node.robot import UR_NAMES
+from twin_node.robot.arms import AIRO
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock, ahead_of_monotonic
 from twin_node.runtime.node import LifecycleState, Node
@@ -23,6 +25,7 @@ DRIVEN_ARM = f"{DRIVER}: arm"
 TICK_S = 0.02
 """How often `tick` is to be called, s: the driver reports at 50 Hz."""
 
+_MODEL = "model"
 _DIAGNOSTICS_NS = 1_000_000_000
 """Diagnostics go out at 1 Hz, as is customary, and at once when something changes."""
 
@@ -34,6 +37,21 @@ _LEVELS = {
 }
 _BEGINS_NS = 3_000_000_000
 """A controller that is begun with the driver, or anew, is there by then: its absence is told afterwards."""
+
+
+def driven_model(diagnostics: Message) -> str | None:
+    """The `model` of the driver that says these `/diagnostics`; None where they are somebody else's."""
+    of_arm = [found for found in convert.diagnostics_from_message(diagnostics) if found.name == DRIVEN_ARM]
+    return next((reading.value for found in of_arm for reading in found.readings if reading.key == _MODEL), None)
+
+
+def is_other_arm(driven: str, judged: str) -> bool:
+    """Whether an arm is judged (`model` of the arm's node) that is not the driven one (that of the driver).
+
+    All UR arms name their joints alike: nothing else that comes tells. A file that is judged may be the driven arm with
+    a gripper; a file that is driven is no e-Series arm, or it had its name.
+    """
+    return judged in UR_NAMES and judged != driven.removeprefix(AIRO)
 
 
 class UrDriverNode(Node):
@@ -134,6 +152,7 @@ class UrDriverNode(Node):
     def _diagnosis(self, report: DriverReport) -> convert.Diagnosis:
         fraction = "none" if report.speed_fraction is None else f"{report.speed_fraction:.3f}"
         readings = [convert.Reading("state", report.state.value), convert.Reading("speed_fraction", fraction)]
+        readings.append(convert.Reading(_MODEL, self._parameters.model))
         if report.refusal is not None:
             readings.append(convert.Reading("refused", report.refusal))
         level, robot = _LEVELS[report.state], self._parameters.robot

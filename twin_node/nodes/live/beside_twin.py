@@ -13,9 +13,7 @@ from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
-from twin_node.nodes.ur_driver import DRIVER
-from twin_node.robot import UR_NAMES
-from twin_node.robot.arms import AIRO
+from twin_node.nodes.ur_driver import DRIVER, is_other_arm
 from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import values_of
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
@@ -84,11 +82,7 @@ def _driving(endpoints: Iterable[Endpoint]) -> Driving:
 
 
 def _check_driven(where: str, driven: str, model: str) -> None:
-    """All UR arms name their joints alike: nothing that comes tells that another one is judged than the one driven.
-
-    A file that is judged may be that arm with a gripper; one that is driven is no e-Series arm, or it had its name.
-    """
-    if model in UR_NAMES and model != driven.removeprefix(AIRO):
+    if is_other_arm(driven, model):
         raise GraphError(
             f"{where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
             "'ur_driver' the same 'model'"
