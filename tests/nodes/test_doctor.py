@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live import doctor
 from twin_node.nodes.live.doctor import examine, graph_faults
 from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, JOINT_STATES, RAW, SEPARATION
-from twin_node.runtime.qos import RELIABLE, TopicKind
+from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import Encoded, LocalWire
+from twin_node.scene import JointSample
 
 
 def end(kind: EntityKind, node: str, topic: str, msgtype: str, type_hash: str = "RIHS01_aa") -> Endpoint:
@@ -99,4 +103,39 @@ def test_messages_that_cannot_be_read_are_told(monkeypatch: pytest.MonkeyPatch) 
     found = examine(DamagedCamera(), 0.05)
     assert any(
         "/a/image_raw: 1 messages cannot be read, the last: sensor_msgs/msg/Image: 5 bytes" in f for f in found.faults
+    )
+
+
+def told_of_stamps(*said: tuple[str, str, int]) -> list[str]:
+    """What is found in a graph in which node, topic and stamp are all that is said, of a clock or of joints."""
+    wire, ends = LocalWire(), []
+    for node, topic, stamp in said:
+        if topic == CLOCK:
+            message = convert.clock_to_message(stamp)
+        else:
+            message = convert.joint_sample_to_message(JointSample(stamp, ("a",), np.zeros(1), np.zeros(1)))
+        msgtype = message.__msgtype__
+        ends.append(replace(publisher(node, topic, msgtype), qos=LATCHED))
+        wire.publisher(node, topic, TopicKind(msgtype, LATCHED))(
+            Encoded(msgtype, bytes(builtin_types().serialize(message)))
+        )
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    return list(examine(wire, 0.05).faults)
+
+
+def test_stamps_of_a_log_that_is_played_are_no_fault_of_this_computers_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """chrony was blamed, and with --clock too."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    recorded, now = 1_700_000_000_000_000_000, time.time_ns()
+    [fault] = told_of_stamps(("player", JOINT_STATES, recorded))
+    assert fault.endswith(
+        "from its arrival, when it was recorded; play the log with --clock, and launch with use_sim_time"
+    )
+    [fault] = told_of_stamps(("driver", JOINT_STATES, recorded))
+    assert fault.endswith("let chrony or PTP keep the machines' clocks together")
+    assert told_of_stamps(("driver", JOINT_STATES, now)) == []
+    assert told_of_stamps(("player", CLOCK, recorded), ("player", JOINT_STATES, recorded)) == []
+    [fault] = told_of_stamps(("player", CLOCK, recorded), ("driver", JOINT_STATES, now))
+    assert fault.endswith(
+        "from its arrival by /clock: driver does not take its time from there; launch it with use_sim_time"
     )

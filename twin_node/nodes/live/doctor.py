@@ -23,6 +23,7 @@ from twin_node.nodes.topics import (
     TRAJECTORY,
     kind_of,
 )
+from twin_node.runtime.clock import FollowedClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
@@ -33,6 +34,8 @@ OF_ONE = (CLOCK, TRAJECTORY, *(topic for topic in RECORDED if topic != DIAGNOSTI
 """Topics of which a graph has one publisher: of two, who listens would follow now one and now the other."""
 CLOCK_TOLERANCE_NS = 20_000_000
 """Stamps that lie so far ahead of their arrival were made by another clock."""
+PLAYERS = ("player", "rosbag2_player")
+"""Nodes of `twin_node play` and `ros2 bag play`: what they say was stamped when it was recorded."""
 LATE_NS = 1_000_000_000
 """Messages this old when they come are of no use to anybody: another clock, or a link that is overloaded."""
 DISCOVERY_S = 0.5
@@ -54,6 +57,8 @@ class _Ear:
         self.newest: dict[str, convert.Diagnosis] = {}
         """Diagnosis by its name."""
         self._published = published
+        self._clock = FollowedClock()
+        self._has_clock = CLOCK in published
         self._stamps: dict[str, list[int]] = defaultdict(list)
         self._delays: dict[str, list[int]] = defaultdict(list)
         self._bus = WireBus(wire, executor, "doctor", kind_of)
@@ -64,9 +69,13 @@ class _Ear:
 
     def _hear(self, topic: str, message: Encoded) -> None:
         stamp = time.time_ns()
+        if topic == CLOCK:
+            self._clock.set(convert.clock_from_message(message.decode()))
         if message.msgtype in REGULAR_TYPES:
             taken = header_stamp(message.decode())
-            self._delays[topic].append(stamp - taken)
+            now = self._clock.now() if self._has_clock else stamp
+            if now:  # the graph's time has been heard
+                self._delays[topic].append(now - taken)
             stamp = taken
         self._stamps[topic].append(stamp)
         if topic == DIAGNOSTICS:
@@ -84,7 +93,7 @@ class _Ear:
         if self._published[topic].msgtype not in REGULAR_TYPES:
             return []
         irregular = [f"{topic}: {fault}" for fault in faults_of(statistics_of(self._stamps[topic]))]
-        return irregular + _clock_faults(topic, self._delays[topic])
+        return irregular + _clock_faults(self._published[topic], self._delays[topic], self._has_clock)
 
     def close(self) -> list[str]:
         """Hears no more; topics whose messages could not be read."""
@@ -190,11 +199,14 @@ def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> s
     )
 
 
-def _clock_faults(topic: str, delays: Sequence[int]) -> list[str]:
-    """What speaks for another clock; `delays`: from the stamp to the arrival here, ns."""
+def _clock_faults(publisher: Endpoint, delays: Sequence[int], has_clock: bool) -> list[str]:
+    """What speaks for another clock; `delays`: from the stamp to the arrival here, by the graph's time, ns."""
     if not delays or -CLOCK_TOLERANCE_NS < np.median(delays) < LATE_NS:
         return []
-    seconds = float(np.median(delays)) / 1e9
-    return [
-        f"{topic}: stamped {-seconds:+.2f} s from its arrival; let chrony or PTP keep the machines' clocks together"
-    ]
+    seconds, node = float(np.median(delays)) / 1e9, publisher.node.name
+    lag = f"{publisher.topic}: stamped {-seconds:+.2f} s from its arrival"
+    if has_clock:
+        return [f"{lag} by {CLOCK}: {node} does not take its time from there; launch it with use_sim_time"]
+    if node in PLAYERS:
+        return [f"{lag}, when it was recorded; play the log with --clock, and launch with use_sim_time"]
+    return [f"{lag}; let chrony or PTP keep the machines' clocks together"]
