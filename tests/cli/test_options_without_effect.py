@@ -20,6 +20,7 @@ from twin_node.cli import main
         (["bench", "methods", "--hold-out", "front"], "--hold-out", "expected with recorded data"),
         (["demo", "--port", "8081"], "--port", "expected with --viewer"),
         (["export", "a.mcap", "--to", "csv", "-o", "a", "--arm", "ur5e", "--params", "p.yaml"], "--arm", "expected"),
+        (["calibrate", "hand-eye", "x", "--camera", "left"], "--camera", "expected with --rig"),
         (["record", "-a", "/tf", "/twin/status"], "--all", "expected instead of topics, found /tf, /twin/status too"),
     ],
 )

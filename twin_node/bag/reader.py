@@ -151,9 +151,9 @@ class LogReader:
     ) -> Iterator[LogMessage]:
         """Messages in log-time order (ties as stored); of the log, only the parts about that time are in memory.
 
-        `topics`: names, or one; None for all. From `start_ns` on and before `stop_ns`. Parts that hold none of these
-        are not read; where one that is read is damaged, the messages end (`past_damage`: go on after it), and `damage`
-        tells.
+        `topics`: names, or one; None for all. Of one that the log does not have there are none. From `start_ns` on and
+        before `stop_ns`. Parts that hold none of these are not read; where one that is read is damaged, the messages
+        end (`past_damage`: go on after it), and `damage` tells.
         """
         if isinstance(topics, str):
             topics = (topics,)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import file_to_write
+from twin_node.cli.arguments import file_to_write, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 from twin_node.json_text import json_text
@@ -48,6 +48,8 @@ def _hand_eye(options: argparse.Namespace) -> None:
     from twin_node.rig.calibrate.hand_eye_fit import HandEyeParameters
     from twin_node.robot import arm_model
 
+    if options.rig is None:
+        refuse_given(options, ("camera",), "expected with --rig, whose cameras have names; leave it out")
     stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
     board, mount, given = _board(options), Mount(options.mount), load_rig(options.rig) if options.rig else None
     camera = _camera(options, given, stops[0].image)
@@ -95,7 +97,8 @@ def _camera(options: argparse.Namespace, given: RigFile | None, image: Path) -> 
     names = ", ".join(camera.name for camera in cameras)
     wanted = [camera for camera in cameras if options.camera in (None, camera.name)]
     if len(wanted) != 1:
-        raise RigError(f"{options.rig}: expected one camera to be chosen, found {names}; give --camera NAME")
+        asked = "" if options.camera is None else f", not {options.camera}"
+        raise RigError(f"{options.rig}: expected one camera to be chosen of {names}{asked}; give --camera NAME")
     return wanted[0]
 
 

@@ -37,6 +37,9 @@ CAMERA_FIELDS = (
 MOST_RATE_PPM = 10_000.0
 """Crystals are good to 100 ppm and driver clocks to some 1000; what is beyond 1 % is a mistake of units."""
 
+HIGHEST_FPS = 1e6
+"""No camera takes more images per second: with stamps in ns, beyond 1e9 all frames would be of one moment."""
+
 
 @dataclass(frozen=True)
 class VideoSource:
@@ -220,8 +223,10 @@ def _source(fields: Fields, camera: str, folder: Path) -> VideoSource | None:
         raise RigError(f"{fields.where}: expected either `stamps` or `fps` with `video`, found {found}")
     if fields.has("fps"):
         fps = fields.number("fps")
-        if fps <= 0:
-            raise RigError(f"{fields.where}.fps: expected a positive frame rate, found {fps:g}")
+        if not 0 < fps <= HIGHEST_FPS:
+            raise RigError(
+                f"{fields.where}.fps: expected a positive frame rate, at most {HIGHEST_FPS:g} per second, found {fps:g}"
+            )
         return VideoSource(camera, video, fps=fps)
     return VideoSource(camera, video, stamps=_stamps(fields, folder))
 

@@ -95,7 +95,16 @@ class ArmModel:
         return len(self.joint_names)
 
     def carrying(self, ends: Float64, radii: Float64) -> ArmModel:
-        """The same with capsules on its last link: `ends` [n, 2, 3] m in the frame of `tool0`, `radii` [n] m."""
+        """The same with capsules on its last link: `ends` [n, 2, 3] m in the frame of `tool0`, `radii` [n] m.
+
+        Raises `RobotError` for what makes no capsules: by a radius below 0 all would seem farther away than it is.
+        """
+        ends, radii = np.asarray(ends, np.float64), np.asarray(radii, np.float64)
+        if radii.ndim != 1 or ends.shape != (len(radii), 2, 3) or not (np.isfinite(ends).all() and (radii > 0).all()):
+            raise RobotError(
+                f"carried by {self.name}: expected finite ends [n, 2, 3] and radii [n] above 0, in metres, found "
+                f"{ends.shape}, {radii.shape} and radii {radii.tolist()}; give two ends and a radius per capsule"
+            )
         carried = Capsules(np.full(len(radii), self.joints), transform(self.T_last_tool, ends), radii)
         return replace(self, capsules=self.capsules.joined(carried))
 

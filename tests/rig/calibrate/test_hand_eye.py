@@ -230,6 +230,8 @@ def test_a_rig_is_tied_to_the_robot_as_a_whole(tmp_path: Path, capsys: pytest.Ca
     out = tmp_path / "tied.yaml"
     board = ["--board", "charuco:6x5:0.03:0.022", "--mount", "target", "--rig", str(tmp_path / "rig.yaml")]
     command = ["calibrate", "hand-eye", str(tmp_path), *board, "--camera", "left", "-o", str(out)]
+    assert main([*command, "--camera", "top"]) == 2
+    assert "expected one camera to be chosen of left, right, not top; give --camera" in capsys.readouterr().err
     assert main(command) == 0
     assert "too little of the target in: stop3" in capsys.readouterr().out
     tied = load_rig(out)

@@ -190,7 +190,7 @@ def check_address(host: str, port: int) -> None:
         reason = getattr(error, "strerror", None) or str(error)
         raise ViewerError(
             f"{_url(host, port)}: cannot be opened ({reason}); give another port or host (--port, --host; of a launch "
-            "-p viewer.port:=8081)"
+            f"-p viewer.port:={DEFAULT_PORT if port != DEFAULT_PORT else DEFAULT_PORT + 1})"
         ) from None
 
 
