@@ -43,10 +43,11 @@ def environment(tmp_path: Path) -> dict[str, str]:
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     common = "scouting: {multicast: {enabled: false}}, timestamping: {enabled: true}"
     session, router = tmp_path / "session.json5", tmp_path / "router.json5"
-    session.write_text(f"{{mode: 'peer', connect: {{endpoints: ['{endpoint}']}}, {common}}}")
+    own = "listen: {endpoints: ['tcp/127.0.0.1:0']}"  # zenoh tells nobody of loopback where it listens everywhere
+    session.write_text(f"{{mode: 'peer', connect: {{endpoints: ['{endpoint}']}}, {own}, {common}}}")
     router.write_text(f"{{mode: 'router', listen: {{endpoints: ['{endpoint}']}}, {common}}}")
-    own = {"ZENOH_SESSION_CONFIG_URI": str(session), "ZENOH_ROUTER_CONFIG_URI": str(router), "ROS_DOMAIN_ID": "7"}
-    return {**os.environ, **own}
+    files = {"ZENOH_SESSION_CONFIG_URI": str(session), "ZENOH_ROUTER_CONFIG_URI": str(router)}
+    return {**os.environ, **files, "ROS_DOMAIN_ID": "7"}
 
 
 @pytest.mark.parametrize(

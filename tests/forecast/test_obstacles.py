@@ -272,3 +272,14 @@ def test_what_was_seen_is_held_at_the_evidence() -> None:
     far = np.full((5, 3), 100.0)
     assert len(cover(occupancy(far, nothing), sighted=sighted(wide, np.flatnonzero(body))).ids) == 0
     assert cover(occupancy(far, nothing)).begins == 1_000
+
+
+@pytest.mark.parametrize("horizons", [(), (0,), (0, 0), (100_000_000, 0), tuple(range(8))])
+def test_layers_between_which_nothing_would_be_valid_are_refused(horizons: tuple[int, ...]) -> None:
+    """Of one layer alone nothing that moves was in any obstacle, without a word."""
+    none = np.zeros(0, np.int64)
+    moving = replace(
+        occupancy(np.zeros((5, 3)), none), layers=tuple(layer(horizon, np.arange(40)) for horizon in horizons)
+    )
+    with pytest.raises(ForecastError, match="cover: expected 2 to 7 layers in the order of their horizons, found"):
+        cover(moving)

@@ -134,8 +134,14 @@ def cover(
 
 
 def _stamps(occupancy: Occupancy) -> list[int]:
-    """When each layer is valid, ns."""
-    return [occupancy.publish_stamp + layer.horizon_ns for layer in occupancy.layers]
+    """When each layer is valid, ns; raises `ForecastError` for layers between which nothing would be valid."""
+    horizons = [layer.horizon_ns for layer in occupancy.layers]
+    if not 2 <= len(horizons) <= min(_AS_SEEN) + 1 or any(then <= now for now, then in pairwise(horizons)):
+        raise ForecastError(
+            f"cover: expected 2 to {min(_AS_SEEN) + 1} layers in the order of their horizons, found horizons of {horizons} "
+            "ns; what moves is held from one layer to the next"
+        )
+    return [occupancy.publish_stamp + horizon for horizon in horizons]
 
 
 def _foreseen(occupancy: Occupancy, most: int, between: tuple[NDArray[np.int64], ...]) -> list[_Batch]:
