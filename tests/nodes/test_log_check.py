@@ -139,6 +139,21 @@ def test_images_that_no_twin_can_take_are_named(
     assert re.match(said, fault)
 
 
+def test_calibration_that_changes_within_a_log_is_told(tmp_path: Path) -> None:
+    """A camera that was set to another mode, or calibrated anew: what came first was taken for the whole log."""
+    path = tmp_path / "log.mcap"
+    zoomed = replace(LEFT, K=np.array([[60.0, 0, 16], [0, 60, 12], [0, 0, 1]]))
+    with LogWriter(path) as log:
+        write_rig(log, Rig((LEFT,), BOX), START)
+        for k in range(40):
+            stamp = START + k * PERIOD
+            log.write("/left/camera_info", convert.camera_info(LEFT if k < 30 else zoomed, stamp), stamp)
+            log.write("/left/image_raw", convert.raw_image("left", stamp, np.zeros((24, 32, 3), np.uint8)), stamp)
+    said = {topic.name: topic.faults for topic in checked(path).topics if topic.faults}
+    assert list(said) == ["/left/camera_info"]
+    assert said["/left/camera_info"][0].startswith("calibration changes 1.0 s after the start, and a twin takes the fi")
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 @pytest.mark.parametrize("at", [0, 7, 39])
 def test_joints_that_are_not_finite_are_found_wherever_they_are(tmp_path: Path, wrong: float, at: int) -> None:

@@ -138,8 +138,8 @@ def _stamps(occupancy: Occupancy) -> list[int]:
     horizons = [layer.horizon_ns for layer in occupancy.layers]
     if not 2 <= len(horizons) <= min(_AS_SEEN) + 1 or any(then <= now for now, then in pairwise(horizons)):
         raise ForecastError(
-            f"cover: expected 2 to {min(_AS_SEEN) + 1} layers in the order of their horizons, found horizons of {horizons} "
-            "ns; what moves is held from one layer to the next"
+            f"cover: expected 2 to {min(_AS_SEEN) + 1} layers in the order of their horizons, found {horizons} ns; "
+            "what moves is held from one layer to the next"
         )
     return [occupancy.publish_stamp + horizon for horizon in horizons]
 

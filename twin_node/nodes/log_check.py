@@ -91,6 +91,8 @@ class _Seen:
     """
     count: int = 0
     contents: list[Any] = field(default_factory=list)
+    calibrations: dict[tuple[object, ...], int] = field(default_factory=dict)
+    """By what a camera's CameraInfo say of its lens: when that was first said, ns."""
     largest: list[float] = field(default_factory=list)
     """Of every JointState's positions that are told, without sign; NaN where none is."""
 
@@ -119,7 +121,7 @@ def check_log(log: LogReader) -> LogCheck:
             whose = f"{', '.join(names)}: " if len(found.streams) > 1 else ""
             is_regular = topic.msgtype in REGULAR_TYPES
             faults += [f"{whose}{fault}" for fault in _time_faults(stream, is_regular, log.start_ns)]
-        faults += _unit_faults(topic.name, topic.msgtype, found)
+        faults += _unit_faults(topic.name, topic.msgtype, found) + _calibration_faults(found, log.start_ns)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
@@ -157,10 +159,29 @@ def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
             seen.largest.append(float(np.abs(content.position[told]).max(initial=0.0)) if is_any else np.nan)
         elif seen.count % every == 0:
             seen.contents.append(content)
+        if message.msgtype == CAMERA_INFO:
+            seen.calibrations.setdefault(_lens_told(content), message.stamp)
     stream = seen.streams.setdefault(names, _Stream())
     stream.stamps.append(stamp)
     stream.delays += delays
     seen.count += 1
+
+
+def _lens_told(info: Any) -> tuple[object, ...]:
+    """What a CameraInfo says but its time, to be compared."""
+    matrices = (np.asarray(numbers, np.float64).tobytes() for numbers in (info.d, info.k, info.r, info.p))
+    return (info.header.frame_id, info.height, info.width, info.distortion_model, *matrices)
+
+
+def _calibration_faults(seen: _Seen, start: int) -> list[str]:
+    """What speaks against a CameraInfo that says something else in the middle of a log; `start`: of the log, ns."""
+    if len(seen.calibrations) < 2:
+        return []
+    changed = list(seen.calibrations.values())[1]
+    return [
+        f"calibration changes {(changed - start) / 1e9:.1f} s after the start, and a twin takes the first one "
+        "throughout; use what lies before or after it, or give a rig file"
+    ]
 
 
 def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
