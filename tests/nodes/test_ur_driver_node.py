@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from twin_node.arm import LimiterParameters
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, UrParameters
@@ -181,6 +183,35 @@ def test_what_was_recorded_until_the_link_was_lost_is_kept(
     assert "connection lost" in capsys.readouterr().err
     with open_log(out) as log:
         assert {DIAGNOSTICS, JOINT_STATES} <= {topic.name for topic in log.topics}
+
+
+def test_a_full_disk_costs_neither_the_driver_nor_what_was_recorded_by_then(
+    stand_in: StandInProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of it was thrown away, and nobody told before the driver was ended."""
+    out, add_message, ticks, tick = tmp_path / "arm.mcap", Writer.add_message, [0, 0], UrDriverNode.tick
+
+    def refuse(writer: Writer, *given: Any) -> None:
+        ticks[0] += 1
+        if ticks[0] > 60:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        add_message(writer, *given)
+
+    def tick_on(node: UrDriverNode) -> None:
+        tick(node)
+        ticks[1] += ticks[0] > 60
+
+    monkeypatch.setattr(Writer, "add_message", refuse)
+    monkeypatch.setattr(UrDriverNode, "tick", tick_on)
+    arguments = ["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "-o", str(out), "--duration", "4"]
+    assert main(arguments) == 2
+    told = f"{out}: cannot be written on (No space left on device); what was recorded until then can be read"
+    said = capsys.readouterr()
+    assert said.out.count(f"not recorded any more: {told}") == 1
+    assert told in said.err
+    assert ticks[1] > 10
+    with open_log(out) as log:
+        assert sum(topic.count for topic in log.topics) == 60
 
 
 def test_a_second_interrupt_does_not_cost_the_recording(

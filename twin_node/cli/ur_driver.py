@@ -12,13 +12,14 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin_node.cli.arguments import positive, whole
 
 if TYPE_CHECKING:
-    from twin_node.bag import LogWriter
+    from twin_node.nodes.driver_log import DriverLog
     from twin_node.runtime.bus import Bus
     from twin_node.runtime.clock import Clock
 
@@ -119,16 +120,27 @@ def _run(options: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def _recording(path: Path) -> Iterator[LogWriter]:
-    """A log of what happens once: it is kept when somebody is too impatient to wait for the driver's end."""
-    from twin_node.bag import LogWriter
+def _recording(path: Path) -> Iterator[DriverLog]:
+    """A log of what happens once, kept however the driver ends, unless there never was an arm."""
+    from twin_node.errors import TwinError
+    from twin_node.nodes.driver_log import DriverLog
+    from twin_node.nodes.topics import JOINT_STATES
 
-    with LogWriter(path, recorded=True) as log:
-        try:
-            yield log
-        except KeyboardInterrupt:
+    log = DriverLog(path, partial(print, flush=True))
+    try:
+        yield log
+    except TwinError:
+        if JOINT_STATES in log.topics:
+            with contextlib.suppress(TwinError):  # what ended the driver is told
+                log.close()
+        else:
+            log.discard()
+        raise
+    except BaseException:
+        with contextlib.suppress(TwinError):  # the same
             log.close()
-            raise
+        raise
+    log.close()
 
 
 class _Pace(ABC):

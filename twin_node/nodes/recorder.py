@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
+from typing import Protocol
 
-from twin_node.bag import LogWriter
 from twin_node.messages import Message, header_stamp
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.node import Node
 
 
+class MessageLog(Protocol):
+    """Takes messages: a `LogWriter`, or what goes on where its disk refuses."""
+
+    def write(self, topic: str, message: Message, stamp_ns: int) -> None: ...
+
+
 class RecorderNode(Node):
     """Writes every message of the given topics, at the time it is published."""
 
-    def __init__(self, bus: Bus, clock: Clock, log: LogWriter, topics: Collection[str]) -> None:
+    def __init__(self, bus: Bus, clock: Clock, log: MessageLog, topics: Collection[str]) -> None:
         super().__init__("recorder", bus, clock)
         self._log = log
         self._topics = tuple(topics)

@@ -1,0 +1,52 @@
+"""The recording of a driver at work, which outlives its process and never ends the driver."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+from twin_node.bag import BagError, RecordingWriter
+from twin_node.messages import Message, builtin_types, serialize
+
+
+class DriverLog:
+    """Writes messages as they come; where the disk refuses it says so, once, and takes no more.
+
+    An arm that stood because a disk is full would wait for somebody who knows nothing of disks.
+    """
+
+    def __init__(self, path: Path, say: Callable[[str], None]) -> None:
+        """Raises `BagError` where nothing can be begun at `path`."""
+        self._writer = RecordingWriter(path)
+        self._say = say
+        self.error: BagError | None = None
+        """Why it ended before its time; None: it did not."""
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that messages were written of."""
+        return self._writer.topics
+
+    def write(self, topic: str, message: Message, stamp_ns: int) -> None:
+        """Writes a message at a log time in ns."""
+        if self.error is not None:
+            return
+        try:
+            self._writer.write(topic, message.__msgtype__, serialize(message), stamp_ns, builtin_types())
+        except BagError as error:
+            self.error = error
+            self._say(f"not recorded any more: {error}; the driver goes on")
+            with contextlib.suppress(BagError):  # its beginning stands; why it ended was told
+                self._writer.close()
+
+    def close(self) -> None:
+        """Finishes the recording. Raises why it ended before its time."""
+        if self.error is None:
+            self._writer.close()
+        else:
+            raise self.error
+
+    def discard(self) -> None:
+        """Takes the recording away: it holds nothing that anybody wants."""
+        self._writer.discard()
