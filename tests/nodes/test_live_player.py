@@ -16,7 +16,7 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.nodes.live.player import PlayNode, PlayParameters
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import CLOCK, GraphError, kind_of
+from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, kind_of
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
@@ -294,6 +294,28 @@ def test_topics_are_played_whose_names_can_be_on_the_graph(tmp_path: Path, capsy
     assert "not played: /, which is no name of a topic" in told
     with pytest.raises(GraphError, match="found /a//b, which is no name of a topic on the graph; leave it out"):
         Theatre(log, topics=("/a//b",))
+
+
+def test_what_was_ordered_of_an_arm_is_not_ordered_again_unless_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log that was played beside a driver let its arm go on after a halt, and a servoed one follow a path."""
+    log = named(tmp_path / "log.mcap", "/a", "/b", FOLLOW, ACKNOWLEDGE)
+    Theatre(log).play()
+    told = capsys.readouterr().out
+    for order in (FOLLOW, ACKNOWLEDGE):
+        assert f"not played: {order}, which an arm on this graph would obey; name it with --topics" in told
+    as_named = {
+        (): {"/a", "/b"},
+        ("/a", ACKNOWLEDGE): {"/a", ACKNOWLEDGE},
+    }
+    for topics, played in as_named.items():
+        theatre = Theatre(log, topics=topics)
+        theatre.node.configure()
+        assert theatre.wire.topics.keys() == played
+    theatre = Theatre(log, remap=(f"{FOLLOW}:=/c", f"/b:={ACKNOWLEDGE}"))
+    theatre.node.configure()
+    assert theatre.wire.topics.keys() == {"/a", "/c"}
 
 
 @pytest.mark.parametrize("topics", [(), ("/a",)])

@@ -15,7 +15,7 @@ from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
-from twin_node.nodes.topics import CLOCK, GraphError, absolute, is_topic_name, parse_remaps
+from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, absolute, is_topic_name, parse_remaps
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, RELIABLE, TopicKind
@@ -28,6 +28,9 @@ CLOCK_RATES = Range(1e-3, 1e6)
 """Of `/clock`, Hz: beyond, times between two ticks are none that nanoseconds can tell."""
 DELAYS = Range(0, 86_400)
 """Up to a day, s."""
+ORDERS = (FOLLOW, ACKNOWLEDGE)
+"""What sets an arm going that its driver holds still: only who asks for them by name gives them again."""
+_ORDER = "which an arm on this graph would obey; name it with --topics ('topics') to have it played"
 LONGEST_WAIT_S = 0.1
 """How long a player that waits may take to notice that it is to stop, s."""
 
@@ -211,7 +214,8 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     """The log's topics to play -> the names they are published under, a slash before those that have none.
 
     A topic whose type is defined nowhere, or whose name can be none on the graph, cannot be told to others: it is left
-    out, and said, unless it is asked for. So is one that would have another's name.
+    out, and said, unless it is asked for. So is one that would have another's name, and what was an order to an arm:
+    one that is driven on this graph would obey it again.
     """
     held: dict[str, Topic] = {}
     twice = [topic for topic in log.topics if held.setdefault(absolute(topic.name), topic) is not topic]
@@ -221,6 +225,7 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
         if name not in held:
             raise GraphError(f"{log.path}: has no topic {name}; it holds {', '.join(sorted(held))}")
     unfit = _unfit(log, held, remaps)
+    orders = {name: _ORDER for name in held if remaps.get(name, name) in ORDERS and name not in asked}
     for name in asked:
         if name in unfit:
             raise GraphError(
@@ -230,9 +235,10 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
         if not asked or absolute(topic.name) in asked:
             say(f"not played: {topic.name}, for {held[absolute(topic.name)].name} is played under that name")
     if not asked:
-        for line in (*(f"{name}, {unfit[name]}" for name in sorted(unfit)), *log.left_out):
+        left_out = orders | unfit
+        for line in (*(f"{name}, {left_out[name]}" for name in sorted(left_out)), *log.left_out):
             say(f"not played: {line}")
-    free = held.keys() - unfit.keys() - ({CLOCK} if parameters.clock else set())
+    free = held.keys() - unfit.keys() - orders.keys() - ({CLOCK} if parameters.clock else set())
     names = {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
     _check_types(log, names)
     return names
