@@ -46,6 +46,11 @@ def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
         "camera b: in only 2 of 10 sets",
         "camera c: in only 0 of 10 sets",
     ]
+    assert not any("--rate" in line for line in held.lacking("abc", ()))
+    assert all(
+        line.endswith("; or 50 times the recording's speed is too fast here: lower --rate")
+        for line in held.lacking("abc", (), 50.0)
+    )
 
 
 def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:

@@ -73,7 +73,7 @@ class Run:
 
     def missed(self, session: LogSession) -> tuple[str, ...]:
         """A line for each of the log's cameras that most sets had to do without, or its images without their depth."""
-        return self.collector.arrived.lacking(session.cameras_in_sets, session.cameras)
+        return self.collector.arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0)
 
 
 @contextlib.contextmanager

@@ -28,11 +28,15 @@ class SetContents:
         self.images.update(view.camera.name for view in frames.views)
         self.depths.update(view.camera.name for view in frames.views if view.depth is not None)
 
-    def lacking(self, names: Collection[str], cameras: Sequence[CameraTopics]) -> tuple[str, ...]:
-        """A line for each camera of the names that most sets had to do without, or its images without their depth."""
+    def lacking(self, names: Collection[str], cameras: Sequence[CameraTopics], rate: float = 1.0) -> tuple[str, ...]:
+        """A line for each camera of the names that most sets had to do without, or its images without their depth.
+
+        `rate`: speed of the clock by that of the recording; where it is higher, images may come too late by it.
+        """
+        hurried = f"; or {rate:g} times the recording's speed is too fast here: lower --rate" if rate > 1 else ""
         lines = [
             f"camera {name}: in only {self.images[name]} of {self.sets} sets: its images' stamps lie too far from the "
-            "others', or it sends more slowly; see their times with 'twin_node check'"
+            f"others', or it sends more slowly; see their times with 'twin_node check'{hurried}"
             for name in names
             if self.images[name] < LEAST_SHARE * self.sets
         ]
@@ -42,6 +46,6 @@ class SetContents:
                 lines.append(
                     f"camera {camera.name}: depth with only {depths} of its {images} images: stamps of {camera.depth} "
                     "lie too far from theirs (synchronizer.depth_tolerance_ms), or fewer came; see their times with "
-                    "'twin_node check'"
+                    f"'twin_node check'{hurried}"
                 )
         return tuple(lines)
