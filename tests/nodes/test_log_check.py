@@ -183,7 +183,7 @@ def test_an_arm_and_its_gripper_on_one_topic_are_judged_each_by_itself(tmp_path:
     [topic] = checked(tmp_path / "log.mcap").topics
     assert topic.faults == (
         "finger: 1 gaps, the longest 80 ms",
-        "finger: stamped +2.0 s from the time of recording: another clock",
+        "finger: stamped 2.0 s before the time of recording: another clock",
     )
     assert topic.statistics.count == len(said) and topic.statistics.rate_hz == pytest.approx(125)
 

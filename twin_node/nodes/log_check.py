@@ -138,8 +138,10 @@ def check_log(log: LogReader) -> LogCheck:
 def _time_faults(stream: _Stream, is_regular: bool, start: int) -> list[str]:
     """What speaks against the times of a stream, which may come at a rate; `start`: of the log, ns."""
     faults = list(faults_of(statistics_of(stream.stamps))) if is_regular else []
-    if stream.delays and abs(float(np.median(stream.delays))) > DELAY_NS:
-        faults.append(f"stamped {np.median(stream.delays) / 1e9:+.1f} s from the time of recording: another clock")
+    delay = float(np.median(stream.delays)) if stream.delays else 0.0
+    if abs(delay) > DELAY_NS:
+        order = "before" if delay > 0 else "after"
+        faults.append(f"stamped {abs(delay) / 1e9:.1f} s {order} the time of recording: another clock")
     step = clock_step(stream.stamps, stream.delays) if is_regular else None
     return faults if step is None else [*faults, step.told(start)]
 
