@@ -12,6 +12,7 @@ from twin_node.messages import Message, convert, from_time
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
 from twin_node.nodes.early import EarlyViews
+from twin_node.nodes.set_ahead import ClocksSetAhead
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, CameraTopics, GraphError
 from twin_node.ranges import WIDTHS_PX
 from twin_node.rig import ApproximateTimeSynchronizer, DecodedImage, FrameAssembler, SyncParameters, SyncSet
@@ -87,6 +88,7 @@ class SynchronizerNode(Node):
         self._is_live = timers is not None
         self._joint_names = frozenset(joint_names)
         self._clocks_apart = clocks_apart or {}
+        self._set_ahead = ClocksSetAhead()
         self._deadline = (timers or NoTimers()).alarm(self._on_deadline)
         self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
@@ -166,7 +168,8 @@ class SynchronizerNode(Node):
         if view.depth is not None and not self._topics[name].is_depth_aligned:
             self._watch.add_depth_frame(name, view.depth.header.frame_id, view.colour.header.frame_id)
         if not self._is_live:  # a log's clock is its recording times, which may lie before the stamps
-            now = max(now, stamp - self._clocks_apart.get(name, 0))
+            by_the_cells = stamp - self._clocks_apart.get(name, 0)
+            now = max(now, by_the_cells - self._set_ahead.ahead_ns(name, by_the_cells, now))
         self._take(self._synchronizer.add(name, stamp, view, now), now)
         if self._decodes_early and self._is_due(self._early.set_of(name, stamp)):
             with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then

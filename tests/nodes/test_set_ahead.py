@@ -1,0 +1,63 @@
+"""A camera's clock that is set ahead within a log: its images are left out from then on, as live."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin_node.bag import LogWriter, write_rig
+from twin_node.messages.convert import camera_info, compressed_image
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.set_ahead import ClocksSetAhead
+from twin_node.nodes.synchronizer import SynchronizerParameters
+from twin_node.scene import Rig, RigCamera
+
+START, MS = 1_700_000_000_000_000_000, 1_000_000
+PERIOD = 33 * MS
+LEFT = RigCamera("left", 32, 24, np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), np.eye(4))
+CAMERAS = (LEFT, replace(LEFT, name="right"), replace(LEFT, name="top"))
+DARK = np.zeros((24, 32, 3), np.uint8)
+
+
+@pytest.mark.filterwarnings("ignore::twin_node.errors.TwinWarning")
+def test_the_others_keep_their_sets(tmp_path: Path) -> None:
+    """All sets were made of that camera alone: by its stamps the others' images were late."""
+    path, box = tmp_path / "log.mcap", np.array([[-1.0, -1, 0], [1, 1, 1]])
+    with LogWriter(path) as log:
+        write_rig(log, Rig(CAMERAS, box), START)
+        for k in range(60):
+            for camera in CAMERAS:
+                taken = START + k * PERIOD
+                stamp = taken + (500 * MS if camera.name == "top" and k >= 30 else 0)
+                log.write(f"/{camera.name}/camera_info", camera_info(camera, stamp), taken)
+                image = compressed_image(camera.name, stamp, DARK)
+                log.write(f"/{camera.name}/image_raw/compressed", image, taken + 20 * MS)
+    with LogSession(path) as session:
+        sets = [[view.camera.name for view in frames.views] for frames in LogSource(session, SynchronizerParameters())]
+    assert sets[:29] == [["left", "right", "top"]] * 29
+    assert sets[32:] == [["left", "right"]] * len(sets[32:])
+    assert len(sets) >= 55
+
+
+def found(*images: tuple[int, int]) -> list[int]:
+    """How far ahead a camera was set, ms, by each image after a regular second; stamps and recordings, ms."""
+    clocks = ClocksSetAhead()
+    regular = [(k * 33, k * 33 + 50) for k in range(-30, 0)]
+    told = [clocks.ahead_ns("a", stamp * MS, recorded * MS) // MS for stamp, recorded in (*regular, *images)]
+    assert told[:30] == [0] * 30
+    return told[30:]
+
+
+def test_what_was_recorded_late_is_no_clock_that_was_set() -> None:
+    assert found((500, 50), (533, 83)) == [500, 500]
+    assert found((0, 50), (533, 83), (566, 116)) == [0, 500, 500]
+    assert found((500, 550), (533, 583)) == [0, 0]  # images were lost
+    assert found((0, 550), (33, 551), (66, 552), (99, 553), (132, 554), (530, 580)) == [0] * 6  # a slow disk
+    assert found((0, 550), (530, 580)) == [0, 0]  # the same, and its queue was full
+
+
+def test_a_clock_that_is_set_twice_is_followed() -> None:
+    assert found((500, 50), (1533, 83), (1566, 116)) == [500, 1500, 1500]
