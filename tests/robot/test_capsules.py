@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.geometry import distance_to_segment
-from twin_node.robot import ArmModel, forward_kinematics, place_capsules, ur_model
+from twin_node.robot import ArmModel, RobotError, forward_kinematics, place_capsules, ur_model
 from twin_node.robot.capsule_fit import fit_capsule, fit_capsules
+from twin_node.scene import Float64
 
 UR10E_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e_model"
 needs_meshes = pytest.mark.skipif(not UR10E_DATA.exists(), reason=f"no UR10e meshes at {UR10E_DATA}")
@@ -124,3 +125,17 @@ def test_a_bent_mesh_needs_less_volume_with_more_capsules() -> None:
     corners = bent.reshape(-1, 3)
     outside = np.stack([distance_to_segment(corners, capsule.ends) - capsule.radius for capsule in two]).min(0)
     assert outside.max() <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("ends", "radii"),
+    [
+        (np.zeros((1, 2, 3)), np.array([-0.05])),  # it was nearer to nothing: everything seemed 5 cm farther away
+        (np.full((1, 2, 3), np.nan), np.array([0.05])),
+        (np.zeros((2, 3)), np.array([0.05])),
+        (np.zeros((2, 2, 3)), np.array([0.05])),
+    ],
+)
+def test_what_is_carried_has_a_shape(ends: Float64, radii: Float64) -> None:
+    with pytest.raises(RobotError, match=r"carried by ur5e: expected finite ends \[n, 2, 3\] and radii \[n\] above 0"):
+        ur_model("ur5e").carrying(ends, radii)

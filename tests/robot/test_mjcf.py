@@ -13,7 +13,6 @@ from twin_node.geometry import distance_to_segment
 from twin_node.resources import ResourceError, find
 from twin_node.robot import UR_NAMES, RobotError, arm_model, forward_kinematics, place_capsules, ur_model
 from twin_node.robot.mjcf import geom_names, load_arm, write_mjcf
-from twin_node.scene import Float64
 
 UR10E_DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e_model"
 
@@ -354,20 +353,6 @@ def test_an_arm_in_millimetres_is_refused(tmp_path: Path, scaled: str) -> None:
         arm_model(tmp_path / "arm.xml")
     with pytest.raises(RobotError, match="arm ur5e: expected link wrist_3_link in metres"):
         ur_model("ur5e").carrying(np.array([[[0, 0, 45.0], [0, 0, 120.0]]]), np.array([50.0]))
-
-
-@pytest.mark.parametrize(
-    ("ends", "radii"),
-    [
-        (np.zeros((1, 2, 3)), np.array([-0.05])),  # it was nearer to nothing: everything seemed 5 cm farther away
-        (np.full((1, 2, 3), np.nan), np.array([0.05])),
-        (np.zeros((2, 3)), np.array([0.05])),
-        (np.zeros((2, 2, 3)), np.array([0.05])),
-    ],
-)
-def test_what_is_carried_has_a_shape(ends: Float64, radii: Float64) -> None:
-    with pytest.raises(RobotError, match=r"carried by ur5e: expected finite ends \[n, 2, 3\] and radii \[n\] above 0"):
-        ur_model("ur5e").carrying(ends, radii)
 
 
 def test_an_arm_is_found_by_name_or_file(tmp_path: Path) -> None:
