@@ -39,7 +39,7 @@ RIG = tuple(
 
 def rays(cam: Camera) -> Float64:
     """[H, W, 3] directions in base of the rays through the pixel centres, of length 1 along the optical axis."""
-    v, u = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    v, u = np.mgrid[: cam.height, : cam.width] + 0.5
     local = np.stack([(u - cam.K[0, 2]) / cam.K[0, 0], (v - cam.K[1, 2]) / cam.K[1, 1], np.ones_like(u)], axis=-1)
     return np.asarray(local @ cam.T_base_cam[:3, :3].T)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.geometry import looking_at
-from twin_node.model.arm_mask import off_arm, off_arm_reference, shown_arms
+from twin_node.model.arm_mask import cut_out, off_arm, off_arm_reference, shown_arms
 from twin_node.model.capsules import nearest_capsules, nearest_reference
 from twin_node.model.kernels import kernels
 from twin_node.model.robot_links import arm_depth
@@ -112,18 +112,18 @@ def test_compiled_and_plain_tell_the_same_of_the_arms_pixels() -> None:
     rng, q = np.random.default_rng(4), np.array([0.0, -1.2, 1.4, -1.7, -1.57, 0.0])
     cameras = [camera_at(np.array([1.5, 0.5, 0.9]), np.array([0.2, 0.0, 0.4]))]
     cameras.append(dataclasses.replace(cameras[0], width=97, height=73, K=np.diag([80.0, 80.0, 1.0]) + K_OFF))
-    outlines = [robot_outline(MODEL, q, camera) for camera in cameras]
-    views = []
-    for camera, outline in zip(cameras, outlines, strict=True):
+    cuts = []
+    for camera in cameras:
+        outline = robot_outline(MODEL, q, camera)
         shape = outline.mask.shape
         surface = arm_depth(MODEL, q, camera, outline.mask)
         depth = surface + rng.choice([0.0, -0.3, 0.3, 2.0], shape) * rng.random(shape)
         measured = np.where(rng.random(shape) < 0.1, 0, np.maximum(depth, 0)).astype(np.float32)
-        views.append(View(camera, 0, np.zeros((*shape, 3), np.uint8), measured))
-    told = off_arm(outlines, views)
-    for found, outline, view in zip(told, outlines, views, strict=True):
-        expected = off_arm_reference(outline, view)
-        assert 0 < found.before.sum() < outline.mask.sum() / 2
-        assert (found.past.astype(bool) & outline.mask).any()
+        cuts.append(cut_out(outline, View(camera, 0, np.zeros((*shape, 3), np.uint8), measured)))
+        assert cuts[-1].mask.sum() == outline.mask.sum() and cuts[-1].mask.size < outline.mask.size
+    for found, cut in zip(off_arm(cuts), cuts, strict=True):
+        expected = off_arm_reference(cut)
+        assert 0 < found.before.sum() < cut.mask.sum() / 2
+        assert (found.past.astype(bool) & cut.mask).any()
         np.testing.assert_array_equal(found.before, expected.before)
         np.testing.assert_array_equal(found.past, expected.past)

@@ -16,6 +16,7 @@ from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.hiding import Hidden
 from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
+from twin_node.forecast.narrowed import NarrowedStates
 from twin_node.forecast.nearest import nearest
 from twin_node.forecast.obstacles import PartMotion
 from twin_node.forecast.pace import LONGEST_GAP_S, Pace
@@ -91,6 +92,7 @@ class Forecaster:
         """`arm`: the one that the states' joints belong to; its own space is left out. None: there is none."""
         self.grid = grid = replace(grid, origin=read_only(grid.origin))
         self.parameters = parameters or ForecastParameters()
+        self._narrowed = NarrowedStates(grid)
         self._observer = Observer(grid, self.parameters.carving, self.parameters.static, arm)
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
@@ -134,6 +136,7 @@ class Forecaster:
                 f"publish_stamp: expected the evidence's stamp or later, found {early_ms:g} ms before it; give both on "
                 "one clock"
             )
+        state = self._narrowed.of(state)
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._follow(state, float(horizons[-1]))

@@ -208,11 +208,22 @@ class ArmSkin:
 
 def _around(one: Observed, mask: Bool, depths: Float32) -> Bool:
     """[H, W] pixels around the arm's `mask` that show what stands behind the arm, whose blocks lie `depths` m deep."""
-    stands = one.background.depth
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    box = _within(top, height, mask.shape[0]), _within(left, width, mask.shape[1])
+    blocks = tuple(slice(side.start // BLOCK, -(-side.stop // BLOCK)) for side in box)
+    stands = one.background.depth[box]
     if one.nearest is not None:
-        stands = np.where(one.nearest > 0, one.nearest, stands)
-    behind = stands > _pixels(cv2.dilate(depths, _REACHED), mask.shape)
-    return cv2.dilate(mask.view(np.uint8), _AROUND).view(bool) & behind & one.usable
+        stands = np.where(one.nearest[box] > 0, one.nearest[box], stands)
+    behind = stands > _pixels(cv2.dilate(depths, _REACHED)[blocks], stands.shape)
+    around = np.zeros(mask.shape, bool)
+    around[box] = cv2.dilate(mask[box].view(np.uint8), _AROUND).view(bool) & behind & one.usable[box]
+    return around
+
+
+def _within(first: int, count: int, size: int) -> slice:
+    """Whole blocks about `count` pixels from `first` on and those around them, of `size` in all."""
+    end = -(-(first + count + AROUND_PX) // BLOCK) * BLOCK
+    return slice(max(first - AROUND_PX, 0) // BLOCK * BLOCK, min(end, size))
 
 
 def _pixels(blocks: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
-from twin_node.scene import Bool, Camera, FrameSet, View
-from twin_node.scene.narrowing import Narrower
+from twin_node.scene import Bool, FrameSet, View
+from twin_node.scene.narrowing import Narrower, narrowed_to, widened_to
 
 WIDTH = 320
 """px: images of twice this width or more are looked at that small, each pixel the mean of 2 x 2 or more. What counts as
@@ -65,7 +64,8 @@ class MovingMask:
             if misfit := view.misfit(robot=robot):
                 raise ModelError(f"set {frames.sequence}: {misfit}")
         views = [self._narrowed(view) for view in frames.views]
-        robots = [_narrowed_to(view.camera, robot) for view, robot in zip(views, robot_masks, strict=True)]
+        given_robots = zip(views, robot_masks, strict=True)
+        robots = [None if robot is None else narrowed_to(view.camera, robot) for view, robot in given_robots]
         cameras = [self._camera_of(view) for view in views]
         given = list(zip(cameras, views, robots, strict=True))
         if can_compile(cameras):
@@ -79,7 +79,7 @@ class MovingMask:
         moving = tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
         self.is_still = all(np.count_nonzero(mask) <= STILL_SHARE * mask.size for mask in moving)
         whole = zip(moving, frames.views, robot_masks, strict=True)
-        return tuple(_widened_to(view.camera, mask, robot) for mask, view, robot in whole)
+        return tuple(_widened(mask, view, robot) for mask, view, robot in whole)
 
     def _narrowed(self, view: View) -> View:
         """The view as it is looked at."""
@@ -94,18 +94,9 @@ class MovingMask:
         return camera
 
 
-def _narrowed_to(camera: Camera, mask: Bool | None) -> Bool | None:
-    """The pixels of a narrowed camera in which there is something of a mask [H, W]."""
-    if mask is None or mask.shape == (camera.height, camera.width):
+def _widened(mask: Bool, view: View, robot: Bool | None) -> Bool:
+    """What was found in a narrowed view in the pixels of the whole one, without the robot."""
+    if mask.shape == view.rgb.shape[:2]:
         return mask
-    size = (camera.width, camera.height)
-    return cv2.resize(np.where(mask, np.uint8(255), np.uint8(0)), size, interpolation=cv2.INTER_AREA) > 0
-
-
-def _widened_to(camera: Camera, mask: Bool, robot: Bool | None) -> Bool:
-    """A narrowed camera's mask in the whole camera's pixels, without the robot's."""
-    if mask.shape == (camera.height, camera.width):
-        return mask
-    size = (camera.width, camera.height)
-    whole = cv2.resize(mask.view(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT).view(bool)
+    whole = widened_to(view.camera, mask)
     return whole if robot is None else whole & ~robot

@@ -58,3 +58,19 @@ class Narrower:
             narrow = Camera(camera.name, self._width, height, scale @ camera.K, camera.T_base_cam, camera.sigma_m)
             known = self._cameras[camera.name] = _Narrowed(camera, narrow)
         return known.narrow
+
+
+def narrowed_to(camera: Camera, mask: Bool) -> Bool:
+    """The pixels of a narrowed camera in which there is something of a mask [H, W] of the wide one; or the mask."""
+    if mask.shape == (camera.height, camera.width):
+        return mask
+    size = (camera.width, camera.height)
+    return np.asarray(cv2.resize(np.where(mask, np.uint8(255), np.uint8(0)), size, interpolation=cv2.INTER_AREA) > 0)
+
+
+def widened_to(camera: Camera, mask: Bool) -> Bool:
+    """A mask of a narrowed camera in the pixels of the wide one; or the mask."""
+    if mask.shape == (camera.height, camera.width):
+        return mask
+    size = (camera.width, camera.height)
+    return np.asarray(cv2.resize(mask.view(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT).view(np.bool_))

@@ -86,14 +86,15 @@ class FlowLevel {
     return half;
   }
 
-  // Takes the flow of the level `coarser`.
-  void take(const FlowLevel &coarser) {
-    flow.resize(2 * static_cast<int64_t>(width) * height);
-    for (int y = 0; y < height; y++) {
-      for (int x = 0; x < width; x++) {
-        const Shift shift = coarser.doubled(x, y);
-        const int64_t at = static_cast<int64_t>(y) * width + x;
-        flow[2 * at] = shift.x, flow[2 * at + 1] = shift.y;
+  // The flow of the image whose level this is after so many halvings.
+  void tell(const FlowView &view, int halvings) const {
+    const float times = static_cast<float>(1 << halvings);
+    for (int y = 0; y < view.height; y++) {
+      const float *row = flow.data() + 2 * static_cast<int64_t>(std::min(y >> halvings, height - 1)) * width;
+      float *out = view.flow + 2 * static_cast<int64_t>(y) * view.width;
+      for (int x = 0; x < view.width; x++) {
+        const float *at = row + 2 * std::min(x >> halvings, width - 1);
+        out[2 * x] = times * at[0], out[2 * x + 1] = times * at[1];
       }
     }
   }
@@ -314,15 +315,9 @@ inline void find_flow(const FlowRules &rules, const FlowView &view) {
   for (int i = 1; i < most && std::min(levels.back().width, levels.back().height) >= 2 * kSide; i++) {
     levels.push_back(levels.back().halved());
   }
-  for (int count = static_cast<int>(levels.size()), i = count; i-- > 0;) {
-    const FlowLevel *const coarser = i + 1 < count ? &levels[i + 1] : nullptr;
-    if (coarser != nullptr && i < unsearched) {
-      levels[i].take(*coarser);
-    } else {
-      levels[i].search(coarser);
-    }
-  }
-  std::copy(whole.flow.begin(), whole.flow.end(), view.flow);
+  const int count = static_cast<int>(levels.size()), finest = std::min(unsearched, count - 1);
+  for (int i = count; i-- > finest;) levels[i].search(i + 1 < count ? &levels[i + 1] : nullptr);
+  levels[finest].tell(view, finest);
 }
 
 }  // namespace model
