@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin_node.scene import Bool, Camera, Grid, TwinState, View
-from twin_node.scene.narrowing import Narrower, narrowed_to
+from twin_node.scene import Bool, Camera, Grid, TwinState
+from twin_node.scene.narrowing import WholeNarrower, narrowed_to
 
 LEAST_WIDTH = 320
 """px: images are made no narrower, however coarse the voxels are: smaller things than these move."""
@@ -21,7 +21,7 @@ class NarrowedStates:
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._middle = grid.origin + np.array(grid.dims) * grid.voxel_size / 2
-        self._narrowers: dict[int, Narrower] = {}
+        self._narrower = WholeNarrower()
 
     def of(self, state: TwinState) -> TwinState:
         """The state before the same cameras with fewer pixels; itself where none has too many, or one has other arrays
@@ -29,16 +29,12 @@ class NarrowedStates:
         seen = list(zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True))
         if any(view.misfit(moving=moving, robot=robot) for view, moving, robot in seen):
             return state
-        views = tuple(self._narrowed(view) for view in state.frames.views)
+        views = tuple(self._narrower.view(view, self._factor(view.camera)) for view in state.frames.views)
         if all(narrow is wide for narrow, wide in zip(views, state.frames.views, strict=True)):
             return state
         masks = [_masks(narrow.camera, moving, robot) for narrow, (_, moving, robot) in zip(views, seen, strict=True)]
         moving, robots = zip(*masks, strict=True)
         return replace(state, frames=replace(state.frames, views=views), moving_masks=moving, robot_masks=robots)
-
-    def _narrowed(self, view: View) -> View:
-        width = view.camera.width // self._factor(view.camera)
-        return self._narrowers.setdefault(width, Narrower(width)).view(view)
 
     def _factor(self, camera: Camera) -> int:
         """How many of a camera's pixels, each way, one may be made of."""

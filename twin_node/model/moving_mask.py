@@ -11,7 +11,7 @@ from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
 from twin_node.scene import Bool, FrameSet, View
-from twin_node.scene.narrowing import Narrower, narrowed_to, widened_to
+from twin_node.scene.narrowing import WholeNarrower, narrowed_to, widened_to
 
 WIDTH = 320
 """px: images of twice this width or more are looked at that small, each pixel the mean of 2 x 2 or more. What counts as
@@ -40,7 +40,7 @@ class MovingMask:
     """
 
     def __init__(self) -> None:
-        self._narrowers: dict[int, Narrower] = {}
+        self._narrower = WholeNarrower()
         self._cameras: dict[str, CameraMask] = {}
         self._rests: dict[str, LongRest] = {}
         self._stamp = 0
@@ -83,8 +83,7 @@ class MovingMask:
 
     def _narrowed(self, view: View) -> View:
         """The view as it is looked at."""
-        width = view.camera.width // max(view.camera.width // WIDTH, 1)
-        return self._narrowers.setdefault(width, Narrower(width)).view(view)
+        return self._narrower.view(view, max(view.camera.width // WIDTH, 1))
 
     def _camera_of(self, view: View) -> CameraMask:
         camera = self._cameras.get(view.camera.name)

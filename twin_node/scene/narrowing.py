@@ -60,6 +60,18 @@ class Narrower:
         return known.narrow
 
 
+class WholeNarrower:
+    """Makes views smaller by whole factors; a camera's views keep one `Camera`, as those of `Narrower` do."""
+
+    def __init__(self) -> None:
+        self._by_width: dict[int, Narrower] = {}
+
+    def view(self, view: View, factor: int) -> View:
+        """The view with so many times fewer pixels each way; at a factor of 1 as it is."""
+        width = view.camera.width // factor
+        return self._by_width.setdefault(width, Narrower(width)).view(view)
+
+
 def narrowed_to(camera: Camera, mask: Bool) -> Bool:
     """The pixels of a narrowed camera in which there is something of a mask [H, W] of the wide one; or the mask."""
     if mask.shape == (camera.height, camera.width):
