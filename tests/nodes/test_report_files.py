@@ -26,7 +26,7 @@ from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import JOINT_STATES, TRAJECTORY
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import FrameSet, Separation
+from twin_node.scene import Camera, FrameSet, Separation, View
 
 
 def short_run() -> Run:
@@ -51,6 +51,21 @@ def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
         line.endswith("; or 50 times the recording's speed is too fast here: lower --rate")
         for line in held.lacking("abc", (), 50.0)
     )
+
+
+@pytest.mark.parametrize(("period_s", "stops_after", "is_told"), [(0.1, 25, True), (0.1, 32, False), (1.0, 37, False)])
+def test_a_camera_that_stops_is_named_though_most_sets_have_it(
+    period_s: float, stops_after: int, is_told: bool
+) -> None:
+    held, image = SetContents(), np.zeros((1, 1, 3), np.uint8)
+    cameras = [Camera(name, 1, 1, np.eye(3), np.eye(4)) for name in "ab"]
+    for number in range(40):
+        stamp = round(number * period_s * 1e9)
+        there = cameras if number < stops_after else cameras[:1]
+        held.add(FrameSet(stamp, tuple(View(camera, stamp, image) for camera in there)))
+    told = held.lacking("ab", ())
+    assert bool(told) == is_told
+    assert all(line.startswith("camera b: in none of the last 15 sets, 1.5 s: it stopped") for line in told)
 
 
 def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:

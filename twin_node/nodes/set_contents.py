@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 from twin_node.nodes.topics import CameraTopics
 from twin_node.scene import FrameSet
 
 LEAST_SHARE = 0.5
 """Share of all sets in which a camera is expected to have an image, and of its images with depth where it measures."""
+STOPPED_S, STOPPED_SETS = 1.0, 5
+"""A camera of which the last sets have nothing has stopped, where these are so long, s, and so many."""
 
 
 class SetContents:
@@ -21,15 +24,22 @@ class SetContents:
         """By camera."""
         self.depths: Counter[str] = Counter()
         """The same of images with depth."""
+        self._last: dict[str, tuple[int, int]] = {}
+        """By camera, stamp (ns) and number of the last set with an image."""
+        self._stamp = 0
+        """Of the last set, ns."""
 
     def add(self, frames: FrameSet) -> None:
         """Takes note of a set."""
         self.sets += 1
         self.images.update(view.camera.name for view in frames.views)
         self.depths.update(view.camera.name for view in frames.views if view.depth is not None)
+        self._stamp = frames.stamp
+        self._last |= {view.camera.name: (frames.stamp, self.sets) for view in frames.views}
 
     def lacking(self, names: Collection[str], cameras: Sequence[CameraTopics], rate: float = 1.0) -> tuple[str, ...]:
-        """A line for each camera of the names that most sets had to do without, or its images without their depth.
+        """A line for each camera of the names that most sets had to do without, or the last ones, or its images without
+        their depth.
 
         `rate`: speed of the clock by that of the recording; where it is higher, images may come too late by it.
         """
@@ -40,6 +50,12 @@ class SetContents:
             for name in names
             if self.images[name] < LEAST_SHARE * self.sets
         ]
+        lines += [
+            f"camera {name}: in none of the last {stopped.sets} sets, {stopped.seconds:.1f} s: it stopped, or its "
+            f"clock was set; see its times with 'twin_node check'{hurried}"
+            for name in names
+            if (stopped := self._stopped(name)) is not None
+        ]
         for camera in cameras:
             images, depths = self.images[camera.name], self.depths[camera.name]
             if camera.name in names and camera.depth and depths < LEAST_SHARE * images:
@@ -49,3 +65,17 @@ class SetContents:
                     f"'twin_node check'{hurried}"
                 )
         return tuple(lines)
+
+    def _stopped(self, name: str) -> _Stopped | None:
+        """What a camera that most sets have has not been in at the end; None: it has."""
+        stamp, number = self._last.get(name, (self._stamp, self.sets))
+        stopped = _Stopped(self.sets - number, (self._stamp - stamp) * 1e-9)
+        is_told = self.images[name] < LEAST_SHARE * self.sets
+        return None if is_told or stopped.seconds <= STOPPED_S or stopped.sets < STOPPED_SETS else stopped
+
+
+class _Stopped(NamedTuple):
+    """The end of a run without a camera."""
+
+    sets: int
+    seconds: float
