@@ -16,7 +16,7 @@ found = native_build.KernelSources.best_library
 given = Path(sys.argv[1])
 native_build.KernelSources.best_library = lambda self, variant: given if self.name == "model" else found(self, variant)
 import test_arm_mask, test_births, test_carried, test_compiled_mask, test_exposure, test_flow, test_least_squares
-import test_nodes, test_normal_equations, test_rendering, test_semi_global, test_steps, test_sweep
+import test_nodes, test_normal_equations, test_observation, test_rendering, test_semi_global, test_steps, test_sweep
 import test_velocity_equations
 test_arm_mask.test_compiled_and_plain_find_the_same()
 test_carried.test_the_compiled_cloud_is_the_plain_one()
@@ -31,7 +31,7 @@ test_velocity_equations.test_compiled_velocities_are_the_plain_ones()
 test_velocity_equations.test_bodies_are_judged_by_the_compiled_kernel_as_by_the_plain_one()
 test_steps.test_the_compiled_kernel_holds_a_rendering_to_the_pixels_that_numpy_does()
 test_steps.test_the_compiled_kernel_finds_what_stands_before_as_numpy_does()
-test_steps.test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(True, (70, 14))
+test_observation.test_views_are_compared_by_the_compiled_kernel_as_by_the_plain_one(True, (70, 14))
 test_arm_mask.test_compiled_and_plain_tell_the_same_of_the_arms_pixels()
 test_compiled_mask.test_lines_of_one_and_two_pixels_are_images_too((slice(25, 26), slice(None)))
 test_compiled_mask.test_several_cameras_at_once_are_those_one_by_one()
