@@ -9,11 +9,11 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from ctypes import c_void_p
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,33 @@ class NativeLibrary:
     VERSION: ClassVar[int]
     """Interface version of the structs that the room declares."""
     ERROR: ClassVar[type[TwinError]]
+    WITHOUT: ClassVar[str]
+    """What happens where there are none, for the warning."""
+
+    @classmethod
+    def of(cls, variant: str) -> Self:
+        """The library of one instruction set, as shipped or else from the cache; compiled here where neither can be
+        loaded.
+
+        Raises `native_build.CompileError` or `OSError`.
+        """
+        path = cls.KERNELS.best_library(variant)
+        try:
+            return cls(path)
+        except OSError:
+            is_shipped = path == cls.KERNELS.shipped_library(variant)
+            if not is_shipped and path != cls.KERNELS.cached_library(variant):
+                raise
+        return cls(cls.KERNELS.cached_library(variant, anew=not is_shipped))
+
+    @classmethod
+    def best(cls) -> Self | None:
+        """The library for this processor; None, and a warning at the caller's caller, where there is none."""
+        try:
+            return cls.of(native_build.supported_variants()[0])
+        except (native_build.CompileError, OSError) as error:
+            warnings.warn(f"{cls.WITHOUT}: {error}", TwinWarning, stacklevel=3)
+            return None
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
@@ -130,36 +157,7 @@ def _openmp_threads() -> int:
     return min(int(asked), processors()) if asked.isdecimal() and int(asked) else processors()
 
 
-Loaded = TypeVar("Loaded", bound=NativeLibrary)
 Struct = TypeVar("Struct", bound=ctypes.Structure)
-
-
-def load(make: Callable[[Path], Loaded], kernels: native_build.KernelSources, variant: str) -> Loaded:
-    """The best library of some kernels, as `make` loads it; compiled here where that which was shipped or is in the
-    cache cannot be loaded.
-
-    Raises `native_build.CompileError` or `OSError`.
-    """
-    path = kernels.best_library(variant)
-    try:
-        return make(path)
-    except OSError:
-        is_shipped = path == kernels.shipped_library(variant)
-        if not is_shipped and path != kernels.cached_library(variant):
-            raise
-    return make(kernels.cached_library(variant, anew=not is_shipped))
-
-
-def best_or_none(load: Callable[[str], Loaded], without: str) -> Loaded | None:
-    """What `load` makes of the best variant for this processor; None, and a warning, where there is none.
-
-    `without`: what happens then, for the warning.
-    """
-    try:
-        return load(native_build.supported_variants()[0])
-    except (native_build.CompileError, OSError) as error:
-        warnings.warn(f"{without}: {error}", TwinWarning, stacklevel=3)
-        return None
 
 
 def array_of(kind: type[Struct], structs: Sequence[Struct]) -> ctypes.Array[Struct]:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node import native_build
 from twin_node.cell import SimulatedRig, casting, load_scenario, sensor
-from twin_node.cell.kernels import kernels, load_variant
+from twin_node.cell.kernels import Kernels, kernels
 from twin_node.cell.raycast import RayCaster
 from twin_node.cell.rendering import NOTHING, Rendering
 from twin_node.cell.scenario import Sensing
@@ -156,7 +156,7 @@ def test_every_instruction_set_draws_the_same(variant: str, monkeypatch: pytest.
     crowd = tuple(solid(SHAPES[i % 3], (0.2 * i - 0.6, 0, 1 + 0.1 * i), i, pattern=p) for i, p in enumerate(PATTERNS))
     expected = drawn(crowd)
     try:
-        other = load_variant(variant)
+        other = Kernels.of(variant)
     except native_build.CompileError as error:
         pytest.skip(str(error))
     monkeypatch.setattr(casting, "kernels", lambda: other)

@@ -18,12 +18,12 @@ from splat_scenes import assert_close, differentiate, make_case
 
 from twin_node import native_build
 from twin_node.native_build import KernelSources
-from twin_node.native_library import NativeLibrary, load
+from twin_node.native_library import NativeLibrary
 from twin_node.splat import SplatError, image_loss, rasterize, rasterize_reference
 from twin_node.splat import library as native
 from twin_node.splat.library import SplatLibrary
 
-TINY = 'extern "C" __attribute__((visibility("default"))) int splat_interface_version() { return 70; }\n'
+TINY = 'extern "C" __attribute__((visibility("default"))) int tiny_interface_version() { return 70; }\n'
 
 
 @pytest.fixture
@@ -215,22 +215,22 @@ def test_a_library_that_cannot_be_loaded_is_compiled_anew(tiny: KernelSources, d
     """A machine that is switched off while it writes leaves such a file."""
 
     class Tiny(NativeLibrary):
-        KERNELS, VERSION, ERROR = native_build.SPLAT, 70, SplatError
+        KERNELS, VERSION, ERROR = tiny, 70, SplatError
 
     library = tiny.cached_library("baseline")
     library.write_bytes(damage)
-    load(Tiny, tiny, "baseline")
+    Tiny.of("baseline")
     assert library.stat().st_size > 1000
     shipped = tiny.shipped_library("baseline")
     shipped.write_bytes(damage)
-    load(Tiny, tiny, "baseline")
+    Tiny.of("baseline")
     assert shipped.read_bytes() == damage, "it is the installation's"
 
 
 def test_a_library_of_another_interface_is_refused(tiny: KernelSources, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(native_build, "SPLAT", tiny)
+    monkeypatch.setattr(native.SplatLibrary, "KERNELS", tiny)
     with pytest.raises(OSError, match=f"expected interface version {native.INTERFACE_VERSION}, found 70"):
-        native.load_variant("baseline")
+        native.SplatLibrary.of("baseline")
 
 
 def test_without_a_compiler_plain_torch_takes_over_with_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -65,7 +65,7 @@ def test_agrees_with_the_plain_version(name: str, library: SplatLibrary):
 
 @pytest.mark.parametrize("variant", native_build.supported_variants()[1:])
 def test_every_instruction_set_agrees(variant: str, monkeypatch: pytest.MonkeyPatch):
-    other = native.load_variant(variant)
+    other = native.SplatLibrary.of(variant)
     monkeypatch.setattr(native, "kernels", lambda: other)
     for name in ("degree 3, expected depth", "nineteen channels", "flat and long", "mask"):
         assert_close(

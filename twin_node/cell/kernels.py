@@ -7,21 +7,17 @@ from functools import cache
 from twin_node import native_build
 from twin_node.cell.errors import CellError
 from twin_node.cell.kernel_requests import INTERFACE_VERSION
-from twin_node.native_library import NativeLibrary, best_or_none, load
+from twin_node.native_library import NativeLibrary
 
 
 class Kernels(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `CellError`."""
 
     KERNELS, VERSION, ERROR = native_build.CELL, INTERFACE_VERSION, CellError
-
-
-def load_variant(variant: str) -> Kernels:
-    """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
-    return load(Kernels, native_build.CELL, variant)
+    WITHOUT = "the simulated cell is drawn in plain NumPy, about four times slower"
 
 
 @cache
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
-    return best_or_none(load_variant, "the simulated cell is drawn in plain NumPy, about four times slower")
+    return Kernels.best()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from twin_node import native_build
 from twin_node.model.kernel_requests import INTERFACE_VERSION
 from twin_node.model.parameters import ModelError
-from twin_node.native_library import NativeLibrary, best_or_none, load
+from twin_node.native_library import NativeLibrary
 
 if TYPE_CHECKING:
     import torch
@@ -18,17 +18,13 @@ class Kernels(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `ModelError`."""
 
     KERNELS, VERSION, ERROR = native_build.MODEL, INTERFACE_VERSION, ModelError
-
-
-def load_variant(variant: str) -> Kernels:
-    """The kernels of one instruction set. Raises `native_build.CompileError` or `OSError`."""
-    return load(Kernels, native_build.MODEL, variant)
+    WITHOUT = "the model finds what moves in plain NumPy, ten times slower"
 
 
 @cache
 def kernels() -> Kernels | None:
     """The best kernels for this processor; None, with one warning, where there are none."""
-    return best_or_none(load_variant, "the model finds what moves in plain NumPy, ten times slower")
+    return Kernels.best()
 
 
 def kernels_for(device: torch.device) -> Kernels | None:

@@ -17,11 +17,9 @@ from twin_node import native_build
 from twin_node.native_library import (
     KernelRequest,
     NativeLibrary,
-    best_or_none,
     is_told,
     keep_to_threads,
     kernel_threads,
-    load,
     thread_count,
 )
 from twin_node.splat.errors import SplatError
@@ -144,6 +142,7 @@ class SplatLibrary(NativeLibrary):
     """One compiled variant. Safe from several threads; a forked child gets `SplatError`."""
 
     KERNELS, VERSION, ERROR = native_build.SPLAT, INTERFACE_VERSION, SplatError
+    WITHOUT = "the CPU rasteriser runs in plain torch, about 20 times slower"
 
     def __init__(self, path: Path) -> None:
         """Loads the library file; raises `OSError` where it cannot be loaded, or is of another interface version."""
@@ -216,18 +215,10 @@ def _check(status: int) -> None:
     raise MemoryError("no memory for the rasteriser's lists")
 
 
-def load_variant(variant: str) -> SplatLibrary:
-    """The library of one instruction set: as shipped with the package, else compiled into the user's cache.
-
-    Raises `native_build.CompileError` or `OSError`.
-    """
-    return load(SplatLibrary, native_build.SPLAT, variant)
-
-
 @cache
 def kernels() -> SplatLibrary | None:
     """The best library for this processor; None, with one warning, where there is none."""
-    return best_or_none(load_variant, "the CPU rasteriser runs in plain torch, about 20 times slower")
+    return SplatLibrary.best()
 
 
 def kernels_for(device: torch.device) -> SplatLibrary | None:
