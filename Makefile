@@ -9,6 +9,10 @@ OUT := out
 # Python compiles what it imports when it first does; all of torch and Open3D ahead would be a third of the set-up.
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+# The pip that comes with Python 3.11 takes most of a minute to choose among all wheels there are; today's a third of it.
+UPGRADE := $(BIN)/pip install --quiet --disable-pip-version-check --upgrade pip || true
+
+HAS_CUDA := $(PYTHON) -c 'import torch, sys; sys.exit(torch.version.cuda is None)' 2>/dev/null
 
 .PHONY: demo test lint bench clean
 
@@ -38,11 +42,11 @@ $(READY): pyproject.toml setup.py constraints.txt constraints-cpu.txt
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
 	    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$missing; \
 	  else echo "note: install these system packages for full function:$$missing" >&2; fi; fi
-	@if $(PYTHON) -c 'import torch, sys; sys.exit(torch.version.cuda is None)' 2>/dev/null; then \
-	  echo "using the torch of $(PYTHON), which has CUDA"; $(PYTHON) -m venv --system-site-packages $(VENV); \
-	else \
-	  $(PYTHON) -m venv $(VENV); $(INSTALL) -r constraints-cpu.txt; fi
-	$(INSTALL) -e '.[dev]'
+	@if $(HAS_CUDA); then echo "using the torch of $(PYTHON), which has CUDA"; fi
+	$(PYTHON) -m venv $$($(HAS_CUDA) && echo --system-site-packages) $(VENV)
+	$(UPGRADE)
+	$(HAS_CUDA) || $(INSTALL) -r constraints-cpu.txt
+	PYTHONWARNINGS='ignore:Editable installation' $(INSTALL) -e '.[dev]'
 	touch $(READY)
 
 clean:
