@@ -29,7 +29,7 @@ from twin_node.scene import Rig, RigCamera
 
 pytest.importorskip("zenoh")
 
-QUICK = ["synchronizer.width:=48", "synchronizer.max_rate_hz:=4.0", "size.name:=given"]
+QUICK = ["synchronizer.width:=48", "synchronizer.max_rate_hz:=4.0", "size.name:=given", "model.seed.steps:=8"]
 """Parameters that make the twin start soon on a busy machine."""
 
 
