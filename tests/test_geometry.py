@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import (
+    cross,
     distance_to_segment,
     inverse_pose,
     looking_at,
@@ -102,3 +103,13 @@ def test_a_segment_is_as_far_away_as_its_nearest_point(seed: int, length: float)
     found = distance_to_segment(points, np.stack([start, start + way]))
     np.testing.assert_allclose(found, expected, atol=1e-3)
     assert (found <= expected + 1e-12).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("first", "second"), [((3,), (3,)), ((5, 1, 3), (4, 3)), ((0, 3), (0, 3))])
+def test_cross_products_are_numpys_to_the_bit(first: tuple[int, ...], second: tuple[int, ...], dtype: type) -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(size=first).astype(dtype), rng.normal(size=second).astype(dtype)
+    found = cross(a, b)
+    assert found.dtype == dtype
+    np.testing.assert_array_equal(found, np.cross(a, b))

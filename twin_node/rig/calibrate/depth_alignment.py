@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.geometry import inverse_pose, transform
+from twin_node.geometry import cross, inverse_pose, transform
 from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project, raw_pixels
 from twin_node.rig.calibrate.rotations import cross_matrix, moved
 from twin_node.rig.errors import RigError
@@ -118,7 +118,7 @@ def surface_of(camera: RigCamera, rgb: UInt8, depth: Float32, still: Bool) -> Su
     reach = max(round(NORMAL_SHARE * camera.width), 1)
     known = cv2.erode(known.astype(np.uint8), np.ones((2 * reach + 1,) * 2), borderValue=0) > 0
     ramp, level = np.arange(-reach, reach + 1.0), np.ones(2 * reach + 1)
-    normals = np.cross(cv2.sepFilter2D(points, -1, level, ramp), cv2.sepFilter2D(points, -1, ramp, level))
+    normals = cross(cv2.sepFilter2D(points, -1, level, ramp), cv2.sepFilter2D(points, -1, ramp, level))
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     facing = -(normals * points).sum(-1) > SLANT * np.linalg.norm(points, axis=-1)
     light = np.log(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) + 8)
@@ -302,7 +302,7 @@ def _system(matches: Sequence[_Match], poses: Float64) -> tuple[Float64, Float64
         ):
             sigma = max(1.4826 * float(np.median(np.abs(off))), least)
             weights = 1 / np.sqrt(1 + (off / sigma / ROBUST_SIGMAS) ** 2) / sigma**2 / TOGETHER
-            J = np.hstack([np.cross(match.places, directions), directions])
+            J = np.hstack([cross(match.places, directions), directions])
             weighted = J * weights[:, None]
             H[np.ix_(own, own)] += by_poses.T @ (J.T @ weighted) @ by_poses
             g[own] -= by_poses.T @ (off @ weighted)

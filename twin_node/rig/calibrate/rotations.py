@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from twin_node.geometry import cross
 from twin_node.scene import Float64
 
 
@@ -48,4 +49,4 @@ def quat_product(a: Float64, b: Float64) -> Float64:
     """Hamilton products [..., 4] of quaternions [..., 4] (w, x, y, z)."""
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     real = aw * bw - (av * bv).sum(-1, keepdims=True)
-    return np.concatenate([real, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+    return np.concatenate([real, aw * bv + bw * av + cross(av, bv)], axis=-1)
