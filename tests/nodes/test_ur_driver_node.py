@@ -119,7 +119,7 @@ def test_servo_mode_follows_what_the_graph_asks_for(stand_in: StandInProcess) ->
     graph.until(lambda: graph.node.report is not None and graph.node.report.speed_fraction == 1.0)
     start = np.array(stand_in.status().q)
     goal = start + np.array([0.2, 0, 0, 0, 0, 0])
-    stamps = np.arange(11, dtype=np.int64) * 50_000_000 + START_NS
+    stamps = np.arange(11, dtype=np.int64) * 50_000_000 + graph.clock.now()
     way = np.linspace(0, 1, 11)[:, None]
     path = JointPath(ur_model("ur5e").joint_names, stamps, start + way * (goal - start))
     graph.bus.publish(FOLLOW, convert.joint_path_to_message(path))
@@ -136,7 +136,7 @@ def test_a_trajectory_without_points_ends_the_one_that_is_followed(stand_in: Sta
 
     def trajectory(way: float, seconds: int) -> Any:
         ends = start, start + np.array([way, 0, 0, 0, 0, 0])
-        stamps = np.array([START_NS, START_NS + seconds * 1_000_000_000])
+        stamps = graph.clock.now() + np.array([0, seconds * 1_000_000_000])
         return convert.joint_path_to_message(JointPath(names, stamps, np.array(ends)))
 
     message = trajectory(0.6, 60)

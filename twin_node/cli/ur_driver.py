@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import re
 import select
 import signal
 import sys
@@ -248,10 +247,12 @@ class _News:
 
     def of(self, report: Any) -> str | None:
         """The line that tells a report; None where it says the same as the one before."""
+        from twin_node.nodes.ur_driver import without_numbers
+
         line = f"{report.state.value}: {report.reason}"
         if report.refusal is not None:
             line += f" (refused: {report.refusal})"
-        words = re.sub(r"\d+", "", line)
+        words = without_numbers(line)
         if words == self._said:
             return None
         self._said = words

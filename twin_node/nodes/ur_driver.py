@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, SupervisedDriver, UrParameters
-from twin_node.messages import Message, convert
+from twin_node.errors import TwinError
+from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
 from twin_node.robot import UR_NAMES
 from twin_node.robot.arms import AIRO
@@ -25,9 +28,14 @@ DRIVEN_ARM = f"{DRIVER}: arm"
 TICK_S = 0.02
 """How often `tick` is to be called, s: the driver reports at 50 Hz."""
 
+_AHEAD_NS = 200_000_000
+"""A path that is to begin so much later is of another clock, or for another time, ns: decisions have as much room."""
 _MODEL = "model"
 _DIAGNOSTICS_NS = 1_000_000_000
-"""Diagnostics go out at 1 Hz, as is customary, and at once when something changes."""
+"""Diagnostics go out at 1 Hz, as is customary, and at once when something changes; a refusal is told for as long."""
+
+_REFUSALS_KEPT = 16
+"""Orders refused that wait to be told, one with each `tick`: of more, the newest."""
 
 _LEVELS = {
     DriverState.CONNECTING: convert.Level.WARN,
@@ -54,6 +62,11 @@ def is_other_arm(driven: str, judged: str) -> bool:
     return judged in UR_NAMES and judged != driven.removeprefix(AIRO)
 
 
+def without_numbers(line: str | None) -> str:
+    """What is said without its numbers, which go on changing; empty: nothing."""
+    return re.sub(r"[\d.]+", "", line or "")
+
+
 class UrDriverNode(Node):
     """Drives a UR arm, in a process of its own, for as long as it is active.
 
@@ -73,14 +86,19 @@ class UrDriverNode(Node):
         self._parameters = parameters
         self._joint_names = parameters.arm().joint_names
         self._driver: SupervisedDriver | None = None
+        self._refusals = deque[str](maxlen=_REFUSALS_KEPT)
+        """Filled by the driver's thread too: a report that holds one is the newest for 20 ms, and may never be seen."""
+        self._refusal: str | None = None
+        self._refused = 0
+        """When that was last said, by the monotonic clock, ns."""
         self._seen = self._sampled = 0
         self._told: DriverReport | None = None
         self._next = 0
 
     @property
     def report(self) -> DriverReport | None:
-        """What the driver said last; None while the node is not active."""
-        return None if self._driver is None else self._driver.latest
+        """What the driver said last, with what was refused of late; None while the node is not active."""
+        return None if self._driver is None else replace(self._driver.latest, refusal=self._refusal)
 
     def on_configure(self) -> None:
         self.bus.subscribe(SEPARATION, self._on_separation)
@@ -89,7 +107,7 @@ class UrDriverNode(Node):
             self.bus.subscribe(FOLLOW, self._on_follow)
 
     def on_activate(self) -> None:
-        self._driver = SupervisedDriver(self._parameters)
+        self._driver = SupervisedDriver(self._parameters, self._on_report)
 
     def on_deactivate(self) -> None:
         if self._driver is not None:
@@ -98,17 +116,19 @@ class UrDriverNode(Node):
 
     def tick(self) -> None:
         """Publish what the driver has said since the last call; to be called every `TICK_S`, in the bus's thread."""
+        now, passed = self.clock.now(), time.monotonic_ns()
+        if self._refusals:
+            self._refusal, self._refused = self._refusals.popleft(), passed
+        elif passed - self._refused >= _DIAGNOSTICS_NS:
+            self._refusal = None
         report = self.report
         if report is None:
             return
-        now, passed = self.clock.now(), time.monotonic_ns()
         if report.stamp > self._seen:
             self._seen = report.stamp
             self._publish_arm(report, ahead_of_monotonic(self.clock))
         self._tell(report, passed)
-        told = self._told
-        is_news = told is None or (told.state, told.refusal) != (report.state, report.refusal)
-        if is_news or passed >= self._next:
+        if _is_news(report, self._told) or passed >= self._next:
             self._told, self._next = report, passed + _DIAGNOSTICS_NS
             self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(now, [self._diagnosis(report)]))
 
@@ -126,7 +146,7 @@ class UrDriverNode(Node):
             waits = report.halt is not None and self._waits(report.halt)
             wanted = "; it waits for 'twin_node acknowledge'" if waits else ""
             line = f"{report.state.value}: {report.reason}{wanted}"
-            words = re.sub(r"\d+", "", line)
+            words = without_numbers(line)
         else:
             return
         if words != self._said:
@@ -158,6 +178,10 @@ class UrDriverNode(Node):
         level, robot = _LEVELS[report.state], self._parameters.robot
         return convert.Diagnosis(DRIVEN_ARM, level, report.reason, tuple(readings), robot)
 
+    def _on_report(self, report: DriverReport) -> None:
+        if report.refusal is not None:
+            self._refusals.append(report.refusal)
+
     def _on_separation(self, message: Message) -> None:
         if self._driver is None or self.state is not LifecycleState.ACTIVE:
             return
@@ -173,9 +197,39 @@ class UrDriverNode(Node):
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._driver.leave_path()
             return
-        path: JointPath = convert.joint_path_from_message(message, self.clock.now())
-        self._driver.follow(path)
+        try:
+            path = convert.joint_path_from_message(message, self.clock.now())
+            _check_time(header_stamp(message), path, self.clock.now())
+            if not self._driver.follow(path):
+                raise ArmError("trajectory: refused, no connection to the controller; send it again once there is one")
+        except TwinError as error:
+            self._refusals.append(str(error))
+            raise
 
     def _on_acknowledge(self, _: Any) -> None:
         if self._driver is not None:
             self._driver.acknowledge()
+
+
+def _is_news(report: DriverReport, told: DriverReport | None) -> bool:
+    """Whether a report is to be told at once after another; None: after none."""
+    if told is None or told.state is not report.state:
+        return True
+    return without_numbers(told.refusal) != without_numbers(report.refusal)
+
+
+def _check_time(stamp: int, path: JointPath, now: int) -> None:
+    """Whether a path that is stamped so, ns, is for now; 0 says that it is. Raises `ArmError` where it is not.
+
+    One that is over is refused as by ROS's trajectory controllers: it was recorded, or held up on its way.
+    """
+    if not stamp:
+        return
+    over_s, ahead_s = (now - int(path.stamps[-1])) * 1e-9, (stamp - now) * 1e-9
+    if over_s <= 0 and ahead_s <= _AHEAD_NS * 1e-9:
+        return
+    found = f"was over {over_s:.3g} s ago" if over_s > 0 else f"is to begin in {ahead_s:.3g} s"
+    raise ArmError(
+        f"trajectory: expected one to follow now, found one that by its stamp {found}; stamp it 0 to have it followed "
+        "when it comes, and let chrony or PTP keep the clocks together"
+    )
