@@ -26,6 +26,18 @@ FLUSH_S = 0.5
 """How long messages wait for their chunk, s: what a killed recorder loses."""
 CHUNK_BYTES = 4 << 20
 """Uncompressed size at which a chunk is closed before its time, bytes."""
+PUT_BACK_NS = 1_000_000_000
+"""A message that came so long before the one before it tells of a clock that was put back, ns; by less the threads that
+take messages may overtake each other on a busy machine."""
+
+
+def free_path(path: Path) -> Path:
+    """The path of a recording, or, where its name is taken, the next free one beside it: NAME_r1, NAME_r2, ..."""
+    number, free = 0, path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.stem}_r{number}{path.suffix}")
+    return free
 
 
 @dataclass(frozen=True)

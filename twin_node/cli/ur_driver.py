@@ -106,7 +106,7 @@ def _run(options: argparse.Namespace) -> None:
         if options.output is not None:
             log = stack.enter_context(_recording(options.output))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
-            recorder = RecorderNode(pace.recorder_bus, pace.clock, log, topics)
+            recorder = RecorderNode(pace.recorder_bus, pace.clock, log, topics, is_live=True)
             recorder.configure()
             recorder.activate()
         node = UrDriverNode(pace.bus, pace.clock, parameters)

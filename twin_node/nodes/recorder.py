@@ -21,14 +21,17 @@ class MessageLog(Protocol):
 class RecorderNode(Node):
     """Writes every message of the given topics, at the time it is published."""
 
-    def __init__(self, bus: Bus, clock: Clock, log: MessageLog, topics: Collection[str]) -> None:
+    def __init__(self, bus: Bus, clock: Clock, log: MessageLog, topics: Collection[str], is_live: bool = False) -> None:
+        """`is_live`: messages are of when they come, whatever they are stamped with: it may be by another clock."""
         super().__init__("recorder", bus, clock)
         self._log = log
         self._topics = tuple(topics)
+        self._is_live = is_live
 
     def on_configure(self) -> None:
         for topic in self._topics:
             self.bus.subscribe(topic, partial(self._on_message, topic))
 
     def _on_message(self, topic: str, message: Message) -> None:
-        self._log.write(topic, message, max(self.clock.now(), header_stamp(message)))
+        now = self.clock.now()
+        self._log.write(topic, message, now if self._is_live else max(now, header_stamp(message)))

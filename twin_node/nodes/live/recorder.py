@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
+from twin_node.bag.recording import PUT_BACK_NS, free_path
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
@@ -25,9 +26,6 @@ SILENCE_S = 3.0
 """By then a graph that runs is known: what nobody publishes is told."""
 EARLY_KEPT = 100
 """Latched messages that are kept until time begins, the newest: some for each camera of any rig."""
-PUT_BACK_NS = 1_000_000_000
-"""A message that came so long before the one before it tells of a clock that was put back, ns; by less the threads that
-take messages may overtake each other on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class LiveRecorderNode(Node):
         now: the rest of the graph goes on.
         """
         wanted = Path(self._parameters.output)
-        path = _unused(wanted)
+        path = free_path(wanted)
         if path != wanted:
             self._say(f"{wanted} exists already: recording into {path}")
         builtin_types()  # takes half a second when first called: a topic that has just been found cannot wait for it
@@ -224,7 +222,7 @@ class LiveRecorderNode(Node):
 
     def _begun_anew(self, writer: RecordingWriter, stamp: int) -> RecordingWriter:
         """A recording beside the one that a clock was put back in: in one log what comes now would stand in between."""
-        path = _unused(Path(self._parameters.output))
+        path = free_path(Path(self._parameters.output))
         self._say(
             f"time was put back by {(self._newest - stamp) / 1e9:.1f} s: what comes from now on is recorded into {path}"
         )
@@ -260,12 +258,3 @@ class LiveRecorderNode(Node):
             writer.close()
         except BagError as error:  # its beginning stands; why it ended is told
             self._error = self._error or error
-
-
-def _unused(path: Path) -> Path:
-    """The path, or, where a recorder that was started again finds its own, the next free one: NAME_r1, NAME_r2, ..."""
-    number, free = 0, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.stem}_r{number}{path.suffix}")
-    return free
