@@ -101,6 +101,19 @@ def test_old_evidence_is_silence_however_often_it_is_sent() -> None:
             assert told.speed_fraction == 1.0
 
 
+@pytest.mark.parametrize(
+    ("age_ms", "word"), [(320, "slow: no forecast that is young"), (540, "stopped: no forecast that is young")]
+)
+def test_forecasts_that_come_and_are_old_are_not_said_to_be_missing(age_ms: int, word: str) -> None:
+    """Of a driver whose clock was half a second ahead the twin was sought, which had never been silent."""
+    limiter = at_full_speed()
+    told = limiter.decide(replace(decision(1.0, 600), evidence_stamp=NOW + (600 - age_ms) * MS), NOW + 600 * MS)
+    assert told.reason.startswith(word)
+    assert f"are of {age_ms} ms before" in told.reason
+    assert f"are of {age_ms} ms before" in limiter.tick(NOW + 1500 * MS).reason, "not now this, now that of slow ones"
+    assert "no forecast for" in limiter.tick(NOW + 1600 * MS).reason
+
+
 def test_a_decision_without_a_stamp_of_its_evidence_stops_the_arm_and_says_why() -> None:
     """The arm stood, and was said to be clear of whoever moved."""
     told = at_full_speed().decide(replace(decision(1.0, 10), evidence_stamp=NO_EVIDENCE), NOW + 10 * MS)

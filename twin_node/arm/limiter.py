@@ -12,6 +12,8 @@ from twin_node.scene import NO_EVIDENCE, Separation
 
 _RISING = "; speeding up"
 """Said after the reason of a decision for full speed that the arm is still on its way to."""
+_COMING_S = 1.0
+"""Where one has come within this time forecasts do come, s, be they slow."""
 _LONGEST_S = 10.0
 """No arm goes on for so long without a forecast, s: who gives more means milliseconds."""
 
@@ -90,9 +92,9 @@ class SpeedLimiter:
         if self._decision.evidence_stamp == NO_EVIDENCE:
             limit, reason = 0.0, reason if limit == 0 else "stopped: nobody knows how old the evidence is; stamp it"
         elif age_s >= 2 * self.parameters.deadline_s:
-            limit, reason = 0.0, f"stopped: no forecast for {age_s * 1e3:.0f} ms"
+            limit, reason = 0.0, f"stopped: {self._lack(age_s, now)}"
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
-            limit, reason = self.parameters.slow_fraction, f"slow: no forecast for {age_s * 1e3:.0f} ms"
+            limit, reason = self.parameters.slow_fraction, f"slow: {self._lack(age_s, now)}"
         elapsed_s = 0.0 if self._stamp is None else max(now - self._stamp, 0) * 1e-9
         self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
         self._stamp = now
@@ -110,6 +112,14 @@ class SpeedLimiter:
         if self._decision is None:
             return math.inf
         return max(now - self._arrival, now - self._decision.evidence_stamp - self._latency_ns()) * 1e-9
+
+    def _lack(self, age_s: float, now: int) -> str:
+        """What is missing after a silence, s: where forecasts come all the same, who sends them is not to be sought."""
+        silent_s = math.inf if self._decision is None else (now - self._arrival) * 1e-9
+        if self._decision is None or silent_s >= min(age_s, _COMING_S):
+            return f"no forecast for {age_s * 1e3:.0f} ms"
+        late_ms = (self._arrival - self._decision.evidence_stamp) / 1e6
+        return f"no forecast that is young enough: those that come are of {late_ms:.0f} ms before (clocks that differ?)"
 
     def _latency_ns(self) -> int:
         return round(self.parameters.evidence_latency_s * 1e9)
