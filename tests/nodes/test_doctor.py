@@ -127,6 +127,7 @@ def test_stamps_of_a_log_that_is_played_are_no_fault_of_this_computers_clock(mon
     """chrony was blamed, and with --clock too."""
     monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
     recorded, now = 1_700_000_000_000_000_000, time.time_ns()
+    monkeypatch.setattr(time, "time_ns", lambda: now)
     [fault] = told_of_stamps(("player", JOINT_STATES, recorded))
     assert fault.endswith(
         "from its arrival, when it was recorded; play the log with --clock, and launch with use_sim_time"
@@ -139,3 +140,19 @@ def test_stamps_of_a_log_that_is_played_are_no_fault_of_this_computers_clock(mon
     assert fault.endswith(
         "from its arrival by /clock: driver does not take its time from there; launch it with use_sim_time"
     )
+
+
+@pytest.mark.parametrize(
+    ("behind_s", "found"),
+    [
+        (0.5, "stamped -0.50 s from its arrival; look for what holds it up, or let chrony"),
+        (-0.05, "stamped +0.05 s from its arrival; let chrony"),
+    ],
+)
+def test_stamps_for_which_an_arm_stands_are_told(monkeypatch: pytest.MonkeyPatch, behind_s: float, found: str) -> None:
+    """Up to a second behind, all was sound but for the arm, which stood."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    now = time.time_ns()
+    monkeypatch.setattr(time, "time_ns", lambda: now)
+    [fault] = told_of_stamps(("driver", JOINT_STATES, now - round(behind_s * 1e9)))
+    assert found in fault

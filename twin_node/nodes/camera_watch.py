@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin_node.messages.convert import Diagnosis, Level, Reading
+from twin_node.nodes.latency import LONGEST_BRIDGED_NS
 from twin_node.rig import InputCounts, SyncReport
 
 SLOW_SHARE = 0.75
@@ -17,8 +18,8 @@ ON_THE_EDGE = 1
 """Images that may have come just before or after a report, and that a camera is not slow, or silent, for."""
 LATE_NS = 20_000_000
 """A camera whose images arrive so much later after their stamps than another's is named: half a period at 30 Hz."""
-OLD_NS = 1_000_000_000
-"""Images this old when they arrive are of no use, though all cameras' be: their forecasts count as late long before."""
+OLD_NS = LONGEST_BRIDGED_NS
+"""Images this old when they arrive are of no use, though all cameras' be: an arm stands for what is older."""
 AHEAD_NS = 5_000_000
 """Images that are stamped so long after their arrival come of a clock that is ahead: latency and forecasts seem shorter
 by that. Less may be what a calibrated offset is wrong by."""

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from twin_node.messages import builtin_types, convert, header_stamp
+from twin_node.nodes.latency import LONGEST_BRIDGED_NS
 from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
 from twin_node.nodes.topics import (
     CLOCK,
@@ -36,7 +37,7 @@ CLOCK_TOLERANCE_NS = 20_000_000
 """Stamps that lie so far ahead of their arrival were made by another clock."""
 PLAYERS = ("player", "rosbag2_player")
 """Nodes of `twin_node play` and `ros2 bag play`: what they say was stamped when it was recorded."""
-LATE_NS = 1_000_000_000
+LATE_NS = LONGEST_BRIDGED_NS
 """Messages this old when they come are of no use to anybody: another clock, or a link that is overloaded."""
 DISCOVERY_S = 0.5
 """Time given to the graph to make itself known, s."""
@@ -209,4 +210,5 @@ def _clock_faults(publisher: Endpoint, delays: Sequence[int], has_clock: bool) -
         return [f"{lag} by {CLOCK}: {node} does not take its time from there; launch it with use_sim_time"]
     if node in PLAYERS:
         return [f"{lag}, when it was recorded; play the log with --clock, and launch with use_sim_time"]
-    return [f"{lag}; let chrony or PTP keep the machines' clocks together"]
+    held_up = "look for what holds it up, or " if seconds > 0 else ""
+    return [f"{lag}; {held_up}let chrony or PTP keep the machines' clocks together"]
