@@ -254,14 +254,21 @@ class Graph:
         """Ends all traffic."""
         self._wire.close()
 
+    @property
+    def _concerned(self) -> list[NodeThread]:
+        """Nodes that know something which a jump in time makes untrue."""
+        return [thread for thread in self._threads if thread.name not in SOURCES]
+
     def _on_clock_put_back(self) -> None:
-        self._say("the computer's clock was put back: what was stamped before is later than now, so all begins anew")
+        if self._concerned:
+            self._say(
+                "the computer's clock was put back: what was stamped before is later than now, so all begins anew"
+            )
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        for thread in self._threads:
-            if thread.name not in SOURCES:
-                thread.begin_anew()
+        for thread in self._concerned:
+            thread.begin_anew()
 
 
 def _set_clock(clock: FollowedClock, message: Message) -> None:
