@@ -95,9 +95,9 @@ def test_a_path_for_now_is_followed(shift: Shift, stamp: int) -> None:
 @pytest.mark.parametrize(
     ("stamp", "found"),
     [
-        (NOW - 3600 * SECOND, "by its stamp was over 3.6e+03 s ago"),
-        (NOW - 2_100_000_000, "by its stamp was over 0.1 s ago"),
-        (NOW + 500_000_000, "by its stamp is to begin in 0.5 s"),
+        (NOW - 3600 * SECOND, "by its stamp was over 3598.00 s ago"),
+        (NOW - 2_100_000_000, "by its stamp was over 0.10 s ago"),
+        (NOW + 500_000_000, "by its stamp is to begin in 0.50 s"),
     ],
 )
 def test_a_path_of_another_time_is_refused_and_told(shift: Shift, stamp: int, found: str) -> None:

@@ -119,7 +119,10 @@ class SpeedLimiter:
         if self._decision is None or silent_s >= min(age_s, _COMING_S):
             return f"no forecast for {age_s * 1e3:.0f} ms"
         late_ms = (self._arrival - self._decision.evidence_stamp) / 1e6
-        return f"no forecast that is young enough: those that come are of {late_ms:.0f} ms before (clocks that differ?)"
+        return (
+            f"no forecast that is young enough: those that come are of {late_ms:.0f} ms before (a slow twin, or clocks "
+            "that differ)"
+        )
 
     def _latency_ns(self) -> int:
         return round(self.parameters.evidence_latency_s * 1e9)

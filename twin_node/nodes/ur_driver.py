@@ -197,9 +197,10 @@ class UrDriverNode(Node):
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._driver.leave_path()
             return
+        now = self.clock.now()
         try:
-            path = convert.joint_path_from_message(message, self.clock.now())
-            _check_time(header_stamp(message), path, self.clock.now())
+            path = convert.joint_path_from_message(message, now)
+            _check_time(header_stamp(message), path, now)
             if not self._driver.follow(path):
                 raise ArmError("trajectory: refused, no connection to the controller; send it again once there is one")
         except TwinError as error:
@@ -228,7 +229,7 @@ def _check_time(stamp: int, path: JointPath, now: int) -> None:
     over_s, ahead_s = (now - int(path.stamps[-1])) * 1e-9, (stamp - now) * 1e-9
     if over_s <= 0 and ahead_s <= _AHEAD_NS * 1e-9:
         return
-    found = f"was over {over_s:.3g} s ago" if over_s > 0 else f"is to begin in {ahead_s:.3g} s"
+    found = f"was over {over_s:.2f} s ago" if over_s > 0 else f"is to begin in {ahead_s:.2f} s"
     raise ArmError(
         f"trajectory: expected one to follow now, found one that by its stamp {found}; stamp it 0 to have it followed "
         "when it comes, and let chrony or PTP keep the clocks together"
