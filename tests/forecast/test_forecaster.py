@@ -60,7 +60,7 @@ def test_what_a_forecast_goes_on_with_cannot_be_written_to() -> None:
         found = forecaster.update(state, state.stamp + LATENCY_NS)
     occupancy, motion = found.occupancy, found.motion
     kept = (occupancy.grid.origin, occupancy.static.indices, occupancy.static.probability)
-    for array in (*kept, motion.centers, motion.velocities, motion.radii, motion.sigmas):
+    for array in (*kept, motion.centers, motion.velocities, motion.radii, motion.sigmas, motion.displacements):
         assert array is not None and len(array)
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0

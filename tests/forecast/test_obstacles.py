@@ -139,6 +139,13 @@ def test_unknown_space_is_an_obstacle_by_what_may_be_in_it() -> None:
         assert not held(obstacles, np.flatnonzero(empty), 40_000_000, kind).any()
 
 
+def together(one: Occupancy, other: Occupancy) -> Occupancy:
+    """What moves in both."""
+    pairs = zip(one.layers, other.layers, strict=True)
+    layers = (layer(mine.horizon_ns, np.concatenate([mine.indices, theirs.indices])) for mine, theirs in pairs)
+    return replace(one, layers=tuple(layers))
+
+
 def test_motion_gives_velocity_bound_and_expert() -> None:
     blobs = np.tile([-0.2, 0.5, 0.4], (5, 1))
     motion = PartMotion(
@@ -155,14 +162,7 @@ def test_motion_gives_velocity_bound_and_expert() -> None:
 
 def test_each_of_two_things_has_its_own_velocity_bound_and_expert() -> None:
     places = np.array([[-0.4, 0.35, 0.2], [-0.1, 0.65, 0.6]])
-    one, other = (occupancy(np.tile(place, (5, 1)), np.array([0])) for place in places)
-    both = replace(
-        one,
-        layers=tuple(
-            layer(mine.horizon_ns, np.concatenate([mine.indices, theirs.indices]))
-            for mine, theirs in zip(one.layers, other.layers, strict=True)
-        ),
-    )
+    both = together(*(occupancy(np.tile(place, (5, 1)), np.array([0])) for place in places))
     velocities, experts = np.array([[0.5, 0, 0], [0, -0.3, 0]]), np.array([1, 2], np.uint8)
     found = cover(both, motion=PartMotion(places, velocities, np.tile([0.03, 0.06], (5, 1)), experts))
     moving = found.kinds == ObstacleKind.MOVING
@@ -173,6 +173,45 @@ def test_each_of_two_things_has_its_own_velocity_bound_and_expert() -> None:
     assert found.experts is not None
     np.testing.assert_array_equal(found.experts[moving], experts[whose])
     assert (found.quats == [1, 0, 0, 0]).all()
+
+
+THROWN, AT_REST = np.array([-0.42, 0.35, 0.2]), np.array([0.0, 0.35, 0.45])
+SPEED = 2.5
+PASSING = PartMotion(
+    np.stack([THROWN, AT_REST]),
+    np.array([[SPEED, 0, 0], [0, 0, 0]]),
+    np.zeros((5, 2)),
+    displacements=np.stack([[[SPEED * horizon * 1e-9, 0, 0], [0, 0, 0]] for horizon in HORIZONS_NS]),
+)
+"""A ball that flies to below somebody at rest."""
+
+
+def passing() -> Occupancy:
+    assert PASSING.displacements is not None
+    nothing = np.zeros(0, np.int64)
+    return together(
+        occupancy(THROWN + PASSING.displacements[:, 0], nothing), occupancy(np.tile(AT_REST, (5, 1)), nothing)
+    )
+
+
+def test_what_flies_past_somebody_at_rest_is_as_fast_there_as_here() -> None:
+    """Its obstacles had the velocity of whoever is now nearest to where it will be: growth at 1.6 m/s for 2.5."""
+    now = passing().layers[0].indices.astype(np.int64)
+    found = cover(passing(), motion=PASSING, sighted=sighted(GRID, now))
+    flies = found.positions[:, 2] < 0.33
+    for rows in (found.as_seen, ~found.as_seen):
+        assert flies[rows].any() and not flies[rows].all()
+    np.testing.assert_array_equal(found.velocities[flies], np.tile([SPEED, 0, 0], (flies.sum(), 1)))
+    assert not found.velocities[~flies].any()
+
+
+def test_an_obstacle_that_holds_several_is_as_fast_as_the_fastest() -> None:
+    """It had the velocity of the one nearest to its middle."""
+    motion, one_each = PASSING, CoverParameters(most_moving=1, most_seen=1)
+    seen = np.concatenate([one.indices for one in passing().layers]).astype(np.int64)
+    found = cover(passing(), None, one_each, motion, sighted=sighted(GRID, seen))
+    assert len(found.ids) == len(HORIZONS_NS)
+    np.testing.assert_array_equal(found.velocities, np.tile([SPEED, 0, 0], (len(found.ids), 1)))
 
 
 def test_obstacles_of_what_is_cut_short_are_those_of_before_where_they_are_nearly_as_good() -> None:

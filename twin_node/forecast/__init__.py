@@ -4,7 +4,8 @@ from twin_node.forecast.baselines import BaselineForecaster, Baselines
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.forecaster import Forecaster, ForecastParameters, ForecastQuality, ForecastResult
 from twin_node.forecast.grid import GridParameters, default_grid
-from twin_node.forecast.obstacles import CoverParameters, PartMotion, cover
+from twin_node.forecast.obstacles import CoverParameters, cover
+from twin_node.forecast.part_motion import PartMotion
 from twin_node.forecast.points import PointForecast, PointForecaster
 
 __all__ = [

@@ -18,8 +18,8 @@ from twin_node.forecast.judgement import Judgement, Watch
 from twin_node.forecast.measured import Measured, start_radii
 from twin_node.forecast.narrowed import NarrowedStates
 from twin_node.forecast.nearest import nearest
-from twin_node.forecast.obstacles import PartMotion
 from twin_node.forecast.pace import LONGEST_GAP_S, Pace
+from twin_node.forecast.part_motion import PartMotion
 from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.passing import passed_between
 from twin_node.forecast.prediction import Prediction, Predictor
@@ -209,7 +209,8 @@ class Forecaster:
         passed = passed_between(self.grid, evidence.parts, prediction.displacements, radii)
         experts = self._predictor.weights.argmax(axis=0).astype(np.uint8)
         places, velocities = read_only(self._tracks.positions[-1]), read_only(self._tracks.velocities)
-        return PartMotion(places, velocities, read_only(radii), experts, read_only(evidence.motion.sigmas), passed)
+        moved, sigmas = read_only(prediction.displacements), read_only(evidence.motion.sigmas)
+        return PartMotion(places, velocities, read_only(radii), experts, sigmas, passed, moved)
 
     def _new_predictor(self) -> Predictor:
         """Without any record. Nothing falls out of the grid: below it is a table or the floor."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.bits import Bits
-from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.covering import Covers, Share, Wanted, covers
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.hiding import Hidden
+from twin_node.forecast.part_motion import PartMotion
 from twin_node.forecast.sighting import Sighted, Spreading
 from twin_node.ranges import Range, check_ranges
 from twin_node.scene import (
@@ -25,7 +25,6 @@ from twin_node.scene import (
     Obstacles,
     ObstacleShape,
     Occupancy,
-    UInt8,
     UInt32,
 )
 
@@ -64,35 +63,6 @@ class CoverParameters:
     def most(self) -> int:
         """Largest number of obstacles in all: those that move once per interval, and once more where they were seen."""
         return self.most_moving * len(HORIZONS_NS) + self.most_seen + self.most_static + 2 * self.most_unknown
-
-
-@dataclass(frozen=True)
-class PartMotion:
-    """How the parts of the moving space move: what gives obstacles their velocity and bound."""
-
-    centers: Float64
-    """[M, 3] m."""
-    velocities: Float64
-    """[M, 3] m/s."""
-    radii: Float64
-    """[H, M] bound at each horizon, m."""
-    experts: UInt8 | None = None
-    """[M] values of `MotionExpert`: which has the most weight; None where nobody says."""
-    sigmas: Float64 | None = None
-    """[M] standard deviations of each component of the velocities, m/s; None where nobody says."""
-    between: tuple[NDArray[np.int64], ...] = ()
-    """Flat indices per interval of what fast parts pass through from one horizon to the next; empty: no part is so fast
-    that the layers would not hold it."""
-
-    @property
-    def sure_velocities(self) -> Float64:
-        """[M, 3] the velocities, faster than a person's only as far as that is sure: one part's may err by as much."""
-        if self.sigmas is None:
-            return self.velocities
-        speeds = np.linalg.norm(self.velocities, axis=1)
-        sure = np.maximum(speeds - _SIGMAS * self.sigmas, np.minimum(speeds, PERSON_SPEED))
-        velocities: Float64 = self.velocities * (sure / np.maximum(speeds, 1e-9))[:, None]
-        return velocities
 
 
 def cover(
@@ -170,8 +140,6 @@ def _joined(layer: UInt32, more: NDArray[np.int64] | None) -> NDArray[np.integer
     return layer if more is None or len(more) == 0 else np.concatenate([layer, more.astype(np.uint32)])
 
 
-_SIGMAS = 2.0
-"""Standard deviations of a velocity that a speed beyond a person's is told without: it is faster in 39 of 40 cases."""
 _AS_SEEN = (7, 6)
 """Stand for intervals in the ids of what was seen, and of its rims: the last that they have room for."""
 
@@ -208,16 +176,17 @@ def _obstacles(
     quats[:, 0] = 1
     velocities, bounds = np.zeros((total, 3)), np.zeros(total)
     experts = np.full(total, MotionExpert.NO_EXPERT, np.uint8)
-    moving = kinds == ObstacleKind.MOVING
-    if motion is not None and len(motion.centers):
-        nearest = _nearest((lower + upper)[moving] / 2, motion.centers)
-        velocities[moving] = motion.sure_velocities[nearest]
-        intervals = np.repeat([batch.interval for batch in batches], counts)[moving]
-        is_forecast = ~np.isin(intervals, _AS_SEEN)
-        foreseen, of = np.flatnonzero(moving)[is_forecast], nearest[is_forecast]
-        bounds[foreseen] = motion.radii[intervals[is_forecast] + 1, of]  # as wide as at the interval's end
-        if motion.experts is not None:
-            experts[foreseen] = motion.experts[of]
+    ends = np.cumsum(counts)
+    for batch, first, end in zip(batches, ends - counts, ends, strict=True):
+        if motion is None or len(motion.centers) == 0 or batch.kind is not ObstacleKind.MOVING:
+            continue
+        rows, is_forecast = slice(first, end), batch.spreading is None
+        held = motion.held(batch.interval if is_forecast else None, lower[rows], upper[rows])
+        velocities[rows] = motion.sure_velocities[held.fastest]
+        if is_forecast:
+            bounds[rows] = motion.radii[batch.interval + 1, held.nearest]  # as wide as at the interval's end
+            if motion.experts is not None:
+                experts[rows] = motion.experts[held.nearest]
     reach_speeds, reach_delays = _reaches(batches, found, since_s)
     return Obstacles(
         stamp=stamp,
@@ -255,10 +224,3 @@ def _reaches(batches: list[_Batch], found: Covers, since_s: float) -> tuple[Floa
 
 _LEAST_SPEED = 1e-3
 """Least speed that is told, m/s: none would mean that nothing is known."""
-
-
-def _nearest(points: Float64, others: Float64) -> NDArray[np.int64]:
-    """Row of `others` [m, 3] nearest to each of `points` [n, 3]."""
-    from scipy.spatial.distance import cdist  # loads slowly, and who only reads parameters never asks
-
-    return np.asarray(cdist(points, others, "sqeuclidean").argmin(axis=1), dtype=np.int64)
