@@ -202,7 +202,8 @@ def test_allowed_contacts_hold_for_what_stands_inside_the_region_only() -> None:
     assert checker.distance(READY).link != "wrist_3_link"
     wide = Thing(tuple(tool), size=(0.5, 0.1, 0.02), kind=ObstacleKind.STATIC, shape=ObstacleShape.BOX)
     moving = Thing(tuple(tool), size=(0.1, 0.1, 0.02), shape=ObstacleShape.BOX)
-    for other in (wide, moving):
+    aslant = replace(wide, size=(0.8, 0.02, 0.02), quat=(0.38, 0.0, 0.0, -0.92))  # by 225 degrees
+    for other in (wide, moving, aslant):
         checker.update(obstacles(other))
         assert checker.distance(READY).link == "wrist_3_link"
         assert checker.distance(READY).distance <= 0
@@ -261,6 +262,8 @@ def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmColl
         Thing((1.0, 0.0, 0.5), quat=(*beyond, 0.0)),
         Thing((1.0, 0.0, 0.5), reach=(2e6, 0.0)),
         Thing((1.0, 0.0, 0.5), reach=(1.0, 2e6)),
+        Thing((1.0, 0.0, 0.5), reach=(np.nan, 0.0)),
+        Thing((1.0, 0.0, 0.5), reach=(1.0, np.nan)),
     ):
         with pytest.raises(ArmError, match=r"expected 1 (rows of )?finite \w+ of at most 1e\+06, found 1"):
             ur5e_checker.update(obstacles(wild))

@@ -158,6 +158,12 @@ def test_joints_that_are_much_older_than_the_path_or_stale_say_nothing_of_it(whe
     np.testing.assert_allclose(pose_at(found, 100), READY + 0.1 * TURNING)
 
 
+@pytest.mark.parametrize(("now_ms", "measures"), [(-401, False), (-400, True), (400, True), (401, False)])
+def test_joints_measure_how_fast_the_arm_goes_for_as_long_as_they_are_fresh(now_ms: int, measures: bool) -> None:
+    found = predictor(planned(), joints(READY, TURNING, 0))
+    assert (found.joints(NOW + now_ms * MS) is not None) == measures
+
+
 def test_a_path_alone_is_believed() -> None:
     np.testing.assert_allclose(pose_at(predictor(planned()), 1000), READY + TURNING)
 

@@ -49,6 +49,22 @@ def test_an_arm_that_brakes_for_a_second_still_means_to_go_on_as_fast() -> None:
     np.testing.assert_allclose(seen, THERE)
 
 
+def test_a_program_that_turns_while_the_arm_is_slowed_more_and_more_is_known_to() -> None:
+    """With every decision it would be braking anew, and be judged by where it went before."""
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    for share in np.linspace(0.9, 0.3, 40):
+        seen = arm.run(2, float(share), -THERE)
+    np.testing.assert_allclose(seen, -THERE)
+
+
+def test_a_program_that_turns_at_a_crawl_is_known_to() -> None:
+    arm = ProgrammedVelocity(0.005, np.full(6, 3.14))
+    for package in range(100):
+        seen = arm.seen(0.04 * (THERE if package < 50 else -THERE), 0.04, NOW + package * PACKAGE_NS)
+    np.testing.assert_allclose(seen, -THERE)
+
+
 @pytest.mark.parametrize("way", [THERE, -THERE])
 def test_no_program_is_faster_than_the_arm_unless_the_arm_is(way: Float64) -> None:
     """Noise of an arm that hardly moves would count twenty times."""

@@ -172,8 +172,11 @@ def test_who_passes_the_arm_before_the_forecast_begins_is_on_the_way_meanwhile(
     assert decided_since(ur5e_checker, seen, arrives).speed_fraction == 1.0  # nobody can come through the arm to there
 
 
-def test_of_who_is_forecast_alone_nobody_knows_where_they_were(ur5e_checker: ArmCollisionChecker) -> None:
-    """The first layer begins in 100 ms: until then who is in it may be 16 cm away."""
-    for left_m, share in ((0.12, 0.0), (0.35, 1.0)):
-        somebody = beside_the_tool(ur5e_checker, left_m, valid_ms=(100, 300))
+@pytest.mark.parametrize(("begins_ms", "touches_m", "passes_m"), [(100, 0.12, 0.35), (20, 0.1, 0.2)])
+def test_of_who_is_forecast_alone_nobody_knows_where_they_were(
+    ur5e_checker: ArmCollisionChecker, begins_ms: int, touches_m: float, passes_m: float
+) -> None:
+    """The first layer begins in 100 ms: until then who is in it may be 16 cm away; in 20 ms they may be 3 cm."""
+    for left_m, share in ((touches_m, 0.0), (passes_m, 1.0)):
+        somebody = beside_the_tool(ur5e_checker, left_m, valid_ms=(begins_ms, 300))
         assert decided_since(ur5e_checker, somebody, velocity=-TURNING).speed_fraction == share

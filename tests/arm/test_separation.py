@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from obstacle_sets import MS, NOW, Thing, obstacles, random_obstacles
 from turning_arm import REACTION_S, READY, SEEN, TURNING, ahead, beside_the_tool, decided, decided_since
 
-from twin_node.arm import Approaches, ArmCollisionChecker, SeparationParameters, UnknownPolicy, decide, stopping_table
+from twin_node.arm import (
+    Approaches,
+    ArmCollisionChecker,
+    SeparationParameters,
+    Underway,
+    UnknownPolicy,
+    decide,
+    stopping_table,
+)
 from twin_node.arm.course import ArmMotion
 from twin_node.arm.separation import Encounter, Proof, hazards
 from twin_node.arm.ur import servo_stopping
@@ -186,6 +194,40 @@ def test_how_fast_an_arm_goes_is_told_by_its_joints_share_of_their_speeds(ur5e_c
     assert told(plan) == told(-plan) < free - 0.05
     assert told(free * plan) == told(noise) == free
     assert told(noise, np.zeros(6)) == 1.0
+
+
+def test_a_slow_joint_that_is_faster_than_planned_makes_the_arm_as_much_faster(
+    ur5e_checker: ArmCollisionChecker,
+) -> None:
+    """However fast another joint is: each counts by its own speed."""
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.12, kind=ObstacleKind.STATIC)))
+    wrist = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
+
+    def told(velocities: np.ndarray) -> float:
+        joints = JointSample(NOW, JOINT_NAMES, READY, velocities)
+        return decide(ur5e_checker, ahead(TURNING + wrist), NOW, REACTION_S, joints=joints).speed_fraction
+
+    assert told(1.4 * TURNING) == told(1.4 * (TURNING + wrist)) < told(np.zeros(6)) - 0.05
+
+
+def test_an_arm_that_is_slow_later_is_held_for_what_it_may_reach_before(ur5e_checker: ArmCollisionChecker) -> None:
+    """It turns at 3 rad/s for 50 ms and stands: by its mean speed what it closes in on first was too far away."""
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.3, kind=ObstacleKind.STATIC)))
+    path = ahead(3 * TURNING)
+    stands = replace(path, positions=np.minimum(path.positions, path.positions[5]))
+    found = decide(ur5e_checker, stands, NOW, 0.2)
+    assert (found.reason, found.speed_fraction < 1) == ("slow for STATIC", True)
+
+
+def test_an_arm_goes_on_as_it_was_told_before_until_it_hears_of_less(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(obstacles(beside_the_tool(ur5e_checker, 0.16, kind=ObstacleKind.STATIC)))
+    late = servo_stopping(ur5e_checker.model, stopping_table("ur5e"))
+
+    def told(underway: Underway | None) -> float:
+        return decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S, table=late, underway=underway).speed_fraction
+
+    free, slower, faster = (told(underway) for underway in (None, Underway(0.02, 0.8), Underway(0.02, 1.0)))
+    assert 1.0 > free > slower > faster == 0.0
 
 
 def test_one_layer_may_begin_and_kinds_may_end_some_milliseconds_apart(ur5e_checker: ArmCollisionChecker) -> None:
