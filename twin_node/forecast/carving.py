@@ -12,7 +12,7 @@ from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.filled import FilledDepth
 from twin_node.forecast.looking_past import LookingPast
-from twin_node.forecast.sights import CarvingParameters, Look, sights_of
+from twin_node.forecast.sights import CarvingParameters, Look, dilated, sights_of
 from twin_node.forecast.tables import Blocks, CameraTable, RigTables
 from twin_node.forecast.unprojection import unproject
 from twin_node.forecast.verdicts import BESIDE, Carved, Sight, carved
@@ -90,7 +90,7 @@ class Carver:
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             table = self._tables.of(view.camera)
             error = self._calibration_error(view.camera)
-            error += abs(state.stamp - view.stamp) * 1e-9 * speed + self._blocks.grid.voxel_size / 2
+            error += _moved_since(state, view, speed) + self._blocks.grid.voxel_size / 2
             pixels = error * table.pixels_per_metre + _PIXEL_ERROR
             backdrop = None if view.depth is None else self._backdrops.of(view)
             look = Look(table, view, moving, robot, backdrop, pixels)
@@ -98,6 +98,8 @@ class Carver:
             looks.append(look if pixels <= max(moving.shape) / 2 else _showing_nothing(look))
         looks = self._filled.without(looks)
         sights = sights_of(looks, self.parameters)
+        for look, sight in zip(looks, sights, strict=True):
+            _end_sooner(look, sight, _moved_since(state, look.view, speed))
         for sight, doubted in zip(sights, self._past.of(looks, state.stamp), strict=True):
             if doubted is not None:
                 sight.free_until[:-1][doubted.ravel()] = 0
@@ -143,6 +145,17 @@ class Carver:
                 f"{camera.sigma_m:g}; correct the rig"
             )
         return self.parameters.sigmas * (camera.sigma_m or self.parameters.assumed_sigma_m)
+
+
+def _moved_since(state: TwinState, view: View, speed: float) -> float:
+    """How far what moves at a speed (m/s) may be from where a view shows it, m: views have stamps of their own."""
+    return abs(state.stamp - view.stamp) * 1e-9 * speed
+
+
+def _end_sooner(look: Look, sight: Sight, nearer_m: float) -> None:
+    """Lets a view free so much less (m) where it shows something that moves: it may have come nearer since."""
+    if nearer_m > 0:
+        sight.free_until[:-1][dilated(look.moving, look.error_pixels).ravel()] -= np.float32(nearer_m)
 
 
 def _showing_nothing(look: Look) -> Look:

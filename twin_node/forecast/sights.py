@@ -126,13 +126,13 @@ def sight_reference(look: Look, parameters: CarvingParameters) -> Sight:
     view, moving, robot, error_pixels = look.view, look.moving, look.robot, look.error_pixels
     seen = np.ones(moving.shape, np.bool_) if view.valid is None else view.valid
     blind = ~seen if robot is None else ~seen | robot
-    widened = _dilate(moving, error_pixels)
+    widened = dilated(moving, error_pixels)
     found = None if look.backdrop is None else _found(view, moving, blind, look.backdrop, parameters)
     blank = np.zeros_like(moving) if found is None else _blank(view, moving, blind, found)
     free_image = _free_until(view, widened | blind, ~seen | blank, error_pixels, parameters)
     blunt = widened & ~blind
     if view.depth is not None:
-        blunt &= (view.depth == 0) | _dilate(blank, error_pixels)
+        blunt &= (view.depth == 0) | dilated(blank, error_pixels)
     flags = blunt * MOVING + seen * SEEN + (seen & ~moving & ~blind) * BESIDE
     if robot is not None:
         flags += (robot & seen) * ROBOT
@@ -249,7 +249,8 @@ def _radius_within(mask: Bool) -> Float32:
     return radius
 
 
-def _dilate(mask: Bool, pixels: float) -> Bool:
+def dilated(mask: Bool, pixels: float) -> Bool:
+    """A mask [H, W] widened by so many pixels."""
     return cv2.dilate(mask.astype(np.uint8), _disk(pixels)) > 0 if pixels >= 1 else mask
 
 
