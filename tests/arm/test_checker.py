@@ -269,6 +269,8 @@ def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmColl
             ur5e_checker.update(obstacles(wild))
     with pytest.raises(ArmError, match="expected sizes in metres of zero or more"):
         ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(-1.0, 1.0, 1.0))))
+    with pytest.raises(ArmError, match=r"a sphere's diameter three times, found sizes \[0.1, 0.4, 0.1\]"):
+        ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), size=(0.1, 0.4, 0.1))))  # it was kept clear of by 0.05 m
     with pytest.raises(ArmError, match="unit quaternions for boxes"):
         ur5e_checker.update(obstacles(Thing((0.0, 0.0, 0.0), shape=ObstacleShape.BOX, quat=(0.0,) * 4)))
     one = obstacles(Thing((1.0, 0.0, 0.5)), Thing((2.0, 0.0, 0.5), valid_ms=(200, 100)))

@@ -174,6 +174,13 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         )
     if (obstacles.sizes < 0).any():
         raise ArmError("obstacles: expected sizes in metres of zero or more, found a negative one; check the forecast")
+    spheres = obstacles.sizes[obstacles.shapes == ObstacleShape.SPHERE]
+    uneven = (spheres != spheres[:, :1]).any(axis=1)
+    if uneven.any():
+        raise ArmError(
+            f"obstacles: expected a sphere's diameter three times, found sizes {spheres[uneven.argmax()].tolist()}; "
+            "give a box where it is longer one way"
+        )
     turns = np.linalg.norm(obstacles.quats, axis=1)
     if ((turns < 1e-6) & (obstacles.shapes == ObstacleShape.BOX)).any():
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
