@@ -85,6 +85,15 @@ def test_a_way_thinner_than_a_hand_leads_nowhere() -> None:
     assert found.reachable[mask(SHADOW)].all()
 
 
+def test_in_voxels_that_no_two_of_fit_into_a_hand_a_way_one_wide_is_wide_enough() -> None:
+    grid = Grid(np.zeros(3), 0.03, (20, 20, 16))
+    tunnel = np.zeros(grid.dims, np.bool_)
+    tunnel[:12, 7, 6] = True
+    nothing = Bits.none(grid.dims)
+    found = HidingPlaces(grid).update(STEP_NS, Bits.of_mask(grid.dims, tunnel.reshape(-1)), nothing, nothing)
+    assert np.array_equal(found.reachable.mask(), tunnel.reshape(-1))
+
+
 @pytest.mark.parametrize("step_ms", [33, 66, 100])
 def test_a_hand_gets_on_in_a_shadow_at_a_persons_speed(step_ms: int) -> None:
     """Of a shadow that reaches the grid's side only now, the far end is not reached at once, and never late."""
@@ -106,6 +115,10 @@ def test_at_first_a_hand_may_be_wherever_unseen_space_leads_to() -> None:
     assert np.array_equal(watch.see(tunnel).reachable, tunnel)
     watch.see(NOTHING)
     assert np.array_equal(watch.see(tunnel, after_ns=600_000_000).reachable, tunnel)
+    sides, z = ((slice(8, 12), slice(28, 32)), slice(8, 12))
+    bent = mask((slice(0, 30), sides[0], z), (slice(26, 30), slice(8, 32), z), (slice(6, 30), sides[1], z))
+    watch.see(NOTHING)
+    assert np.array_equal(watch.see(bent, after_ns=600_000_000).reachable, bent)  # farther than people get meanwhile
 
 
 def test_what_stands_closes_the_way() -> None:
@@ -174,14 +187,14 @@ def test_specks_are_no_stepping_stones_for_a_hand(
     assert found.reachable[mask(SHADOW)].any() == is_reached
 
 
-@pytest.mark.parametrize(("gap", "is_reached"), [(2, True), (6, False)])
-def test_a_hand_comes_across_no_wide_space_that_is_seen_to_be_empty(gap: int, is_reached: bool) -> None:
+@pytest.mark.parametrize(("gap", "step_ms", "is_reached"), [(2, 150, True), (2, 33, True), (6, 150, False)])
+def test_a_hand_comes_across_no_wide_space_that_is_seen_to_be_empty(gap: int, step_ms: int, is_reached: bool) -> None:
     """Whatever the time between two sets: the forearm that it hangs on would be seen there."""
     watch = Watch()
     watch.see(NOTHING)
     body = mask((slice(0, 14 - gap), slice(8, 30), slice(4, 22)))
     for _ in range(4):
-        found = watch.see(mask(SHADOW), moving=body, after_ns=150_000_000)
+        found = watch.see(mask(SHADOW), moving=body, after_ns=step_ms * 1_000_000)
         assert found.reachable[mask(SHADOW)].any() == is_reached
 
 

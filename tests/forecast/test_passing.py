@@ -42,7 +42,7 @@ def test_nothing_is_added_for_what_the_layers_hold(speed: float, radius: float) 
     assert all(len(passed) == 0 for passed in passed_between(GRID, *thrown(speed, radius)))
 
 
-@pytest.mark.parametrize("speed", [3.0, 6.0, 9.0])
+@pytest.mark.parametrize("speed", [3.0, 4.0, 6.0, 9.0])
 def test_a_fast_thing_is_held_all_along_its_way(speed: float) -> None:
     passed = passed_between(GRID, *thrown(speed, 0.05))
     for interval in range(len(HORIZONS_NS) - 1):
@@ -61,6 +61,14 @@ def test_the_way_is_as_wide_as_the_bound_grows_on_it() -> None:
     aside = np.array([0.0, 0.12, 0.0])  # half of the thing, and the mean of both bounds
     assert np.isin(thing(ahead(speed * 0.075) + aside, 0.03), passed[1]).all()
     assert not np.isin(thing(ahead(speed * 0.025) + aside, 0.03), passed[0]).any()
+
+
+def test_a_bound_that_has_grown_by_the_end_of_a_way_leaves_nothing_out_before() -> None:
+    """By the wider one of both ends its places would be too far apart for the narrower one's."""
+    parts, displacements, radii = thrown(4.5, 0.01)
+    radii[2:] = 0.2
+    passed = passed_between(GRID, parts, displacements, radii)
+    assert held(passed[1], ahead(4.5 * 0.075)).all()
 
 
 def test_ways_of_any_length_are_no_more_than_a_few_places() -> None:
