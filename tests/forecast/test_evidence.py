@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, ball_depth, floor_depth, state_of
+from forecast_worlds import GRID, ball_depth, ball_voxels, floor_depth, state_of
 
 from twin_node.forecast.evidence import Observer
 from twin_node.forecast.grid import decode_runs
@@ -47,6 +47,17 @@ def test_unseen_space_that_what_moves_passes_before_stays_unknown() -> None:
         rims += np.count_nonzero(below[np.ravel_multi_index(tuple(places[:, inside]), GRID.dims)])
         assert unknown[below].all()
     assert rims > 0
+
+
+def test_what_moves_and_is_no_thing_is_space_that_nobody_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Taken out of what moves, specks would be told as free."""
+    monkeypatch.setattr("twin_node.forecast.evidence.of_things", lambda grid, parts: np.zeros(parts.count, np.bool_))
+    observer, center = Observer(GRID, CarvingParameters(), StaticParameters()), np.array([0.0, 0.0, 0.45])
+    observer.observe(over_a_table(0, None))
+    evidence = observer.observe(over_a_table(PERIOD_NS, center))
+    unknown = decode_runs(evidence.unseen.result().unknown_runs, GRID.size)
+    assert evidence.parts.count == 0
+    assert unknown[ball_voxels(center, RADIUS)].all()
 
 
 def test_neighbours_that_are_found_meanwhile_are_those_of_the_parts() -> None:

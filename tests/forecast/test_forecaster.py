@@ -11,6 +11,7 @@ from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, floor_depth, 
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError, cover
 from twin_node.forecast.bound import FIRST_FACTOR, LARGEST_RADIUS
 from twin_node.forecast.grid import decode_runs
+from twin_node.forecast.growth import grown
 from twin_node.scene import HORIZONS_NS, GaussianCloud, Grid, Occupancy, Tier, TwinState
 
 PERIOD_NS = 33_333_333
@@ -326,8 +327,11 @@ def test_who_rests_may_start_where_depth_images_are_missing_for_a_while() -> Non
             state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
         if tick > 21:
             state = without_depth(state)
-        held.append(forecaster.update(state, state.stamp + LATENCY_NS).occupancy.layers[-1].indices)
+        layers = forecaster.update(state, state.stamp + LATENCY_NS).occupancy.layers
+        held.append(layers[-1].indices)
     assert len(held[21]) > 1000
+    rests = np.isin(np.arange(GRID.size), layers[0].indices)
+    assert np.isin(np.flatnonzero(grown(GRID, rests, 5.5)), held[23]).all(), "0.9 m/s after 45 ms: 17 cm"
     assert np.array_equal(held[22], held[21])
     assert np.array_equal(held[23], held[21])
 

@@ -74,6 +74,18 @@ def test_who_comes_to_rest_behind_a_mirror_stays_held() -> None:
     assert carver.frees(resting, surface).mean() < 0.5
 
 
+@pytest.mark.parametrize(("after_ns", "frees"), [(STEP_NS, False), (HELD_NS, False), (HELD_NS + 1, True)])
+def test_a_camera_that_saw_past_somebody_frees_nothing_there_for_a_while(after_ns: int, frees: bool) -> None:
+    """Nobody else measures them in every image."""
+    carver = Carver(RigTables(GRID))
+    carver.carve(mirrored(seen(0, None)), 0.0)
+    carver.carve(mirrored(seen(1)), 0.0)
+    later = floor_only(mirrored(state_of(STEP_NS + after_ns, CENTER, with_depth=True)))
+    carver.carve(later, 0.0)
+
+    assert (carver.frees(later, BALL).mean() > 0.5) == frees
+
+
 def test_a_rig_without_mirrors_believes_all() -> None:
     carver = Carver(RigTables(GRID))
     for tick in range(20):

@@ -10,6 +10,7 @@ from forecast_worlds import GRID, HEIGHT, WIDTH, camera, floor_depth, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
@@ -70,6 +71,21 @@ def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(wit
     place = GRID.indices(standing.means.astype(np.float64))
     assert np.isin(place, space.opaque.indices).all() != with_depth
     assert (space.opaque.error_m > 0) != with_depth
+
+
+def test_depth_is_calmed_where_it_differs_by_noise_alone() -> None:
+    """What is put down stands where it is measured at once, and not where the ground was."""
+    before = state_of(0, None, with_depth=True)
+    backdrops = Backdrops()
+    backdrops.update(before)
+    ground = before.frames.views[0].depth
+    assert ground is not None
+    noisy = (ground + np.where(np.arange(WIDTH) < WIDTH // 2, 0.01, -0.3)).astype(np.float32)
+    calmed = backdrops.calmed(replace(before.frames.views[0], depth=noisy))
+    near = ground < 5  # farther ones are noisier
+    left = near & (np.arange(WIDTH) < WIDTH // 2)
+    assert np.array_equal(calmed[left], ground[left])
+    assert np.array_equal(calmed[near & ~left], noisy[near & ~left])
 
 
 def test_the_arm_does_not_stand() -> None:

@@ -26,6 +26,14 @@ STRAIGHT_S = 0.3
 """Time before it brakes."""
 
 
+def test_what_stays_in_its_bound_is_not_held_aside_and_what_leaves_it_is() -> None:
+    aside = np.zeros((2, 3, 3))
+    aside[:, :, 1] = [[0.02, 0.03, np.nan], [0.09, 0.11, np.nan]]
+    swerves = swerves_of(np.zeros((2, 3, 3)), np.full((2, 3), 0.1), aside, 0.4)
+    assert swerves.held.tolist() == [False, True, False]
+    np.testing.assert_allclose(swerves.displacements[:, :2, 1], [[0.0, 0.03], [0.0, 0.11]])
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1))
 def test_swerves_are_held_from_one_end_to_the_other(seed: int, share: float) -> None:
     """Of several nodes, each with a rim, some of which do not swerve."""

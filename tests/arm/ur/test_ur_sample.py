@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from twin_node.arm import extrapolate
 from twin_node.arm.ur import UrSample, implausible, not_ready
 from twin_node.arm.ur.freshness import Freshness
+from twin_node.arm.ur.sample import SafetyMode
 from twin_node.resources import find
 from twin_node.robot import ur_model
 from twin_node.robot.mjcf import load_arm
@@ -21,6 +22,12 @@ JOINT_FIELDS = ("q", "qd", "target_q", "target_qd")
 def test_a_true_state_is_believed() -> None:
     assert implausible(MODEL, sample(), None) is None
     assert implausible(MODEL, sample(1.008, q=START + 0.004), sample()) is None
+
+
+@pytest.mark.parametrize("mode", SafetyMode)
+def test_an_arm_may_move_in_two_safety_modes_alone(mode: SafetyMode) -> None:
+    lets = mode in (SafetyMode.NORMAL, SafetyMode.REDUCED)
+    assert sample(safety_mode=int(mode)).may_move == lets == (not_ready(sample(safety_mode=int(mode))) is None)
 
 
 @pytest.mark.parametrize("field", JOINT_FIELDS)
