@@ -74,6 +74,17 @@ def test_a_contact_that_mujoco_misses_is_found(q: tuple[float, ...], box: Thing)
     assert (np.abs((found.on_arm - inside.centers[0]) @ inside.rotations[0]) <= inside.half[0]).all()
 
 
+def test_scenes_of_one_arm_are_placed_apart() -> None:
+    """They are compiled once."""
+    one, other = (CollisionScene(ur_model("ur5e"), 3) for _ in range(2))
+    before = other.model.geom_size.copy()
+    one.place(obstacles(Thing((1.0, 0.0, 0.5), size=(0.4, 0.4, 0.4))))
+    one.pose(READY)
+    assert (one.model.geom_size != before).any()
+    np.testing.assert_array_equal(other.model.geom_size, before)
+    assert not np.array_equal(one.data.qpos, other.data.qpos)
+
+
 def test_obstacles_never_meet_each_other_and_the_arm_meets_them() -> None:
     scene = CollisionScene(ur_model("ur5e"), 3)
     tool = tuple(forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,6 +20,21 @@ _ARENA_BYTES_PER_OBSTACLE = 64 << 10
 """Memory for MuJoCo's broad phase and contacts: the default arena overflows at 2000 spheres, this never came near."""
 _FAR_M = 1e3
 """Distances are measured up to here, m."""
+
+
+@lru_cache(maxsize=8)
+def _compiled(mjcf: str, capacity: int) -> Any:
+    """The model of an arm and its pool: nobody's to change, for MuJoCo takes 0.2 s to add a pool of 1024, and an arm
+    that has set down what it carried is the one from before."""
+    spec = mujoco.MjSpec.from_string(mjcf)
+    spec.memory = max(32 << 20, capacity * _ARENA_BYTES_PER_OBSTACLE)
+    for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX):
+        for _ in range(capacity):
+            body = spec.worldbody.add_body(mocap=True)
+            body.add_geom(type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=1, rgba=[0.9, 0.4, 0.1, 0.4])
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its boxes are those of compile time
+    return model
 
 
 @dataclass(frozen=True)
@@ -40,14 +58,7 @@ class CollisionScene:
 
     def __init__(self, model: ArmModel, capacity: int) -> None:
         self.capacity = capacity
-        spec = mujoco.MjSpec.from_string(write_mjcf(model))
-        spec.memory = max(32 << 20, capacity * _ARENA_BYTES_PER_OBSTACLE)
-        for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX):
-            for _ in range(capacity):
-                body = spec.worldbody.add_body(mocap=True)
-                body.add_geom(type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=1, rgba=[0.9, 0.4, 0.1, 0.4])
-        self.model = spec.compile()
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its boxes are those of compile time
+        self.model = copy.deepcopy(_compiled(write_mjcf(model), capacity))
         self.data = mujoco.MjData(self.model)
         self._arm_geoms = np.array([self.model.geom(name).id for name in geom_names(model)])
         self._pool = np.flatnonzero(self.model.body_mocapid[self.model.geom_bodyid] >= 0)
