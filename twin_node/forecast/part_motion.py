@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.forecast.bound import PERSON_SPEED
+from twin_node.forecast.nearest import nearest_one
 from twin_node.scene import Bool, Float64, UInt8
 
 _SIGMAS = 2.0
@@ -46,7 +48,7 @@ class PartMotion:
     displacements: Float64 | None = None
     """[H, M, 3] where the parts are led at each horizon, m; None: nowhere."""
 
-    @property
+    @cached_property
     def sure_velocities(self) -> Float64:
         """[M, 3] the velocities, faster than a person's only as far as that is sure: one part's may err by as much."""
         if self.sigmas is None:
@@ -64,7 +66,7 @@ class PartMotion:
         begin, end = self.centers, self.centers
         if interval is not None and self.displacements is not None:
             begin, end = self.centers + self.displacements[interval], self.centers + self.displacements[interval + 1]
-        nearest = _nearest((lower + upper) / 2, end)
+        nearest = nearest_one((lower + upper) / 2, end, np.inf).rows
         speeds = np.linalg.norm(self.sure_velocities, axis=1)
         fast = np.flatnonzero(speeds > PERSON_SPEED)
         if len(fast) == 0:
@@ -83,10 +85,3 @@ def _pass_through(lower: Float64, upper: Float64, begin: Float64, end: Float64) 
     shares = (lower[:, None] - begin) / way, (upper[:, None] - begin) / way
     enters, leaves = np.minimum(*shares).max(axis=-1), np.maximum(*shares).min(axis=-1)
     return np.asarray(np.maximum(enters, 0) <= np.minimum(leaves, 1))
-
-
-def _nearest(points: Float64, others: Float64) -> NDArray[np.int64]:
-    """Row of `others` [m, 3] nearest to each of `points` [n, 3]."""
-    from scipy.spatial.distance import cdist  # loads slowly, and who only reads parameters never asks
-
-    return np.asarray(cdist(points, others, "sqeuclidean").argmin(axis=1), dtype=np.int64)
