@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin_node.model import WindowModel
-from twin_node.model.quality import MOVING_THRESHOLD, moving_pixels, psnr, psnr_on, squared_error
+from twin_node.model.quality import moving_pixels, psnr, psnr_on, squared_error
 from twin_node.nodes.report.quality import FEWEST_PIXELS, Image, Mean, Renderings, render_cloud, unit, valid_pixels
 from twin_node.nodes.spool import Tick
 from twin_node.scene import HORIZONS_NS, Bool, FrameSet, TwinState, View
@@ -57,7 +57,8 @@ class _Flicker:
     def add(self, camera: str, rendered: Image, still: Bool) -> None:
         before = self.last.get(camera)
         if before is not None and before.shape == rendered.shape and still.any():
-            self.mean.add(100 * float(np.abs(rendered - before)[still].mean()))
+            change = np.abs(rendered - before)
+            self.mean.add(100 * float((change[..., 0] + change[..., 1] + change[..., 2])[still].mean()) / 3)
         self.last[camera] = rendered
 
 
@@ -131,7 +132,7 @@ def _pairs(then: FrameSet, now: FrameSet) -> Iterator[tuple[View, View]]:
 
 def _score_pair(state: TwinState, then: View, now: View, forecast: Mean, present: Mean) -> None:
     image = unit(now)
-    changed = (np.abs(image - unit(then)).max(-1) > MOVING_THRESHOLD) & valid_pixels(now) & valid_pixels(then)
+    changed = moving_pixels(image, unit(then)) & valid_pixels(now) & valid_pixels(then)
     if changed.sum() < FEWEST_PIXELS:
         return
     exposure = state.exposure_of(now.camera.name)

@@ -19,8 +19,9 @@ from twin_node.model.descending import Path, descend, rates_of
 from twin_node.model.gaussians import LOG_SCALE, MEAN, Gaussians, Newborns
 from twin_node.model.motion import Motion
 from twin_node.model.nodes import Poses
-from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.observation import Observed
 from twin_node.model.photometric import goal_of
+from twin_node.model.quality import largest_channel
 from twin_node.model.rendering import Rendering, shoot
 from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.birth_depths import BLOCK, Depths, Pixels, agreed
-from twin_node.model.observation import Observed, largest_channel
-from twin_node.model.quality import MOVING_THRESHOLD
+from twin_node.model.observation import Observed
+from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool, Float32, Float64

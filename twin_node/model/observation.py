@@ -12,7 +12,7 @@ import numpy as np
 from twin_node.model.backgrounds import Background, grow
 from twin_node.model.kernel_requests import ObservedView, ObserveRequest, ObserveRules
 from twin_node.model.kernels import kernels
-from twin_node.model.quality import MOVING_THRESHOLD
+from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
 from twin_node.native_library import addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, FrameSet, UInt8, View
 
@@ -203,10 +203,3 @@ def _nearest(depth: Float32 | None) -> Float32 | None:
     unknown = np.finfo(np.float32).max  # as far as cv2.erode goes: of infinity it makes that
     around = cv2.erode(np.where(depth > 0, depth, unknown), np.ones((3, 3), np.uint8))
     return np.where(around < unknown, around, np.float32(0)).astype(np.float32)
-
-
-def largest_channel(a: Float32, b: Float32) -> Float32:
-    """[H, W] the largest difference of a channel between images [H, W, 3]."""
-    difference = np.abs(a - b)
-    largest: Float32 = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
-    return largest

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Number = TypeVar("Number", bound=np.floating)
 
 MOVING_THRESHOLD = 25 / 255
 """Largest channel difference from the first frame that still counts as unchanged (as in DecoGS, 25 grey levels)."""
@@ -13,9 +16,17 @@ MOVING_THRESHOLD = 25 / 255
 
 def squared_error(image: NDArray[np.floating], target: NDArray[np.floating]) -> NDArray[np.float64]:
     """Mean squared error over channels per pixel, [H, W], of two images [H, W, 3] in 0 to 1."""
-    difference = np.asarray(image, dtype=np.float64) - np.asarray(target, dtype=np.float64)
-    error: NDArray[np.float64] = np.mean(difference * difference, axis=-1)
+    squares = np.subtract(image, target, dtype=np.float64)
+    np.square(squares, out=squares)
+    error: NDArray[np.float64] = (squares[..., 0] + squares[..., 1] + squares[..., 2]) / 3
     return error
+
+
+def largest_channel(a: NDArray[Number], b: NDArray[Number]) -> NDArray[Number]:
+    """[H, W] the largest difference of a channel between images [H, W, 3]."""
+    difference = np.abs(a - b)
+    largest: NDArray[Number] = np.maximum(np.maximum(difference[..., 0], difference[..., 1]), difference[..., 2])
+    return largest
 
 
 def psnr(mean_squared_error: float) -> float:
@@ -30,5 +41,4 @@ def psnr_on(image: NDArray[np.floating], target: NDArray[np.floating], pixels: N
 
 def moving_pixels(image: NDArray[np.floating], first: NDArray[np.floating]) -> NDArray[np.bool_]:
     """[H, W] True where an image differs from the first frame by more than `MOVING_THRESHOLD` in some channel."""
-    moving: NDArray[np.bool_] = np.max(np.abs(image - first), axis=-1) > MOVING_THRESHOLD
-    return moving
+    return largest_channel(image, first) > MOVING_THRESHOLD

@@ -12,9 +12,9 @@ from twin_node.model.backgrounds import grow
 from twin_node.model.birth_depths import BLOCK
 from twin_node.model.kernel_requests import StillRequest
 from twin_node.model.kernels import kernels
-from twin_node.model.observation import Observed, largest_channel
+from twin_node.model.observation import Observed
 from twin_node.model.parameters import MapParameters
-from twin_node.model.quality import MOVING_THRESHOLD
+from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
 from twin_node.native_library import addresses_of, thread_count
 from twin_node.scene import Bool, Float32
 

@@ -17,8 +17,8 @@ from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, L
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.long_rest import STANDS_NS
 from twin_node.model.nodes import Nodes
-from twin_node.model.observation import Observed, largest_channel
-from twin_node.model.quality import MOVING_THRESHOLD
+from twin_node.model.observation import Observed
+from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
 from twin_node.model.rendering import Rendering
 from twin_node.scene import Bool
 

@@ -13,7 +13,7 @@ import torch
 
 from twin_node.model import WindowModel
 from twin_node.model.first_light import FirstLight, is_blind, shows_something
-from twin_node.model.quality import moving_pixels, psnr_on
+from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.model.rendering import Splats, render
 from twin_node.nodes.spool import Tick
 from twin_node.scene import Bool, Camera, Float32, FrameSet, GaussianCloud, TwinState, View
@@ -226,26 +226,36 @@ def render_cloud(cloud: GaussianCloud, camera: Camera, seconds: float = 0.0) -> 
     return rgb
 
 
+_KINDS = {
+    "ours": ("moving", "unchanged", "arm"),
+    "frozen": ("moving", "unchanged", "arm"),
+    "published": ("moving", "unchanged"),
+    "moved_on": ("moving", "unchanged"),
+    "previous": ("moving",),
+}
+"""Kinds of pixels on which each rendering of `Renderings` is scored."""
+
+
 def score(renderings: Iterable[Renderings]) -> Quality:
     """Mean PSNR over all images, for all valid pixels, moving ones, unchanged ones and the arm's."""
     totals = {field.name: Mean() for field in dataclasses.fields(Quality)}
-
-    def add(figure: str, rendered: Image | None, shown: Renderings, pixels: Bool | None) -> None:
-        if rendered is not None and pixels is not None and pixels.sum() >= FEWEST_PIXELS:
-            totals[figure].add(psnr_on(rendered, shown.image, pixels))
-
     for shown in renderings:
         moving, valid = moving_pixels(shown.image, shown.first) & shown.valid, shown.valid
-        still, arm = ~moving & valid, None if shown.arm is None else shown.arm & valid
-        if valid.any():
-            totals["psnr_db"].add(psnr_on(shown.ours, shown.image, valid))
-        for kind, pixels in (("moving", moving), ("unchanged", still), ("arm", arm)):
-            add(f"psnr_{kind}_db", shown.ours, shown, pixels)
-            add(f"frozen_psnr_{kind}_db", shown.frozen, shown, pixels)
-        for kind, pixels in (("moving", moving), ("unchanged", still)):
-            add(f"published_psnr_{kind}_db", shown.published, shown, pixels)
-            add(f"moved_on_psnr_{kind}_db", shown.moved_on, shown, pixels)
-        add("previous_psnr_moving_db", shown.previous, shown, moving)
+        of_kind = {
+            "moving": moving,
+            "unchanged": ~moving & valid,
+            "arm": None if shown.arm is None else shown.arm & valid,
+        }
+        counted = {kind: of for kind, of in of_kind.items() if of is not None and of.sum() >= FEWEST_PIXELS}
+        for method, kinds in _KINDS.items():
+            rendered: Image | None = getattr(shown, method)
+            if rendered is None:
+                continue
+            error, prefix = squared_error(rendered, shown.image), "" if method == "ours" else f"{method}_"
+            for kind in [kind for kind in kinds if kind in counted]:
+                totals[f"{prefix}psnr_{kind}_db"].add(psnr(float(error[counted[kind]].mean())))
+            if method == "ours" and valid.any():
+                totals["psnr_db"].add(psnr(float(error[valid].mean())))
     return Quality(**{name: total.value for name, total in totals.items()})
 
 
