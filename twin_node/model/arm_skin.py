@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.birth_depths import BLOCK
@@ -27,7 +28,7 @@ from twin_node.model.robot_links import RobotLinks
 from twin_node.model.rotations import conjugate, rotate
 from twin_node.scene import Bool, Float32, Float64, JointSample, Tier
 
-RATE = 1.5
+RATE = 3.0
 """What the rates of `descending.RATES` are multiplied by."""
 MEANS = 0.3
 """Share of it that the means have: one camera alone would draw them towards itself."""
@@ -72,6 +73,25 @@ class _Skin:
     """[H, W] pixels that tell how the arm looks: its own, and those around it that show what stands behind it."""
 
 
+@dataclass(frozen=True)
+class _Own:
+    """The arm's Gaussians, in float64 on the CPU: they are few."""
+
+    means: Tensor
+    """[n, 3] m in the frames of their nodes."""
+    carriers: Tensor
+    """[n] rows of these."""
+
+    def placed(self, poses: Poses) -> Tensor:
+        """[n, 3] m where nodes at `poses` [M, ...] carry them."""
+        return rotate(poses.quats[self.carriers], self.means) + poses.positions[self.carriers]
+
+    def with_newborns(self, born: Newborns) -> _Own:
+        """These and `born`."""
+        means, carriers = born.means.cpu().double(), born.nodes.cpu()
+        return _Own(torch.cat([self.means, means]), torch.cat([self.carriers, carriers]))
+
+
 class ArmSkin:
     """Learns the look of one arm's Gaussians, and makes new ones where none are; a set's share is `refine`."""
 
@@ -87,7 +107,7 @@ class ArmSkin:
     def refine(
         self, observed: Sequence[Observed], joints: JointSample, robots: Sequence[Bool | None]
     ) -> Generator[None]:
-        """Takes a step by what each camera sees of the arm; `robots` are its masks [H, W].
+        """Takes a step by what the cameras see of the arm; `robots` are its masks [H, W].
 
         Called while the links are where the set shows them; what it returns may be gone on with once they are not. An
         arm that does not turn soon stays as it is, to the bit.
@@ -108,37 +128,48 @@ class ArmSkin:
         return self._share < CALM
 
     def _slices(self, seen: Sequence[tuple[Observed, Bool]], joints: JointSample, poses: Poses) -> Generator[None]:
-        """The work of a look through the views in `seen`, which saw the links at `poses`, one after another."""
-        for index, (one, mask) in enumerate(seen):
-            skin, its = self._skin(one, mask, joints), Poses(*(of[index : index + 1] for of in vars(poses).values()))
+        """The work of a look through the views in `seen`, which saw the links at `poses`."""
+        if not seen:
+            return
+        skins = []
+        for one, mask in seen:
+            skins.append(self._skin(one, mask, joints))
             yield
-            shown = self._learn(skin, its)
-            yield
-            self._bear(skin, shown, its)
-        if seen:
-            self._sink()
+        shown = self._learn(skins, poses)
+        yield
+        own = self._sunk()
+        yield
+        self._bear(skins, shown, poses, own)
 
-    def _learn(self, skin: _Skin, poses: Poses) -> Rendering:
+    def _learn(self, skins: Sequence[_Skin], poses: Poses) -> list[Rendering]:
         """One step of all that the Gaussians look like, before what stands behind the arm; what was seen before it."""
-        g, one = self._gaussians, skin.one
-        rows, view, nobody = g.robot_rows, one.view, g.standing(g.values[:0])
-        goal = goal_of([view], [skin.counted], [one.background.backdrop], g.values.device, [one.rgb])
+        g = self._gaussians
+        rows, nobody, ones = g.robot_rows, g.standing(g.values[:0]), [skin.one for skin in skins]
+        goal = goal_of(
+            [one.view for one in ones],
+            [skin.counted for skin in skins],
+            [one.background.backdrop for one in ones],
+            g.values.device,
+            [one.rgb for one in ones],
+        )
         if not len(rows):
-            return goal.own(shoot(nobody, goal.shots))[0]
+            return goal.own(shoot(nobody, goal.shots))
         rates = rates_of(g.values.index_select(0, rows), RATE * self._share)
         rates[:, MEAN] *= MEANS
         carriage = carry(poses, g.nodes.index_select(0, rows))
-        return descend(g, Path(rows, carriage, rates, nobody, goal), 1).seen[0]
+        return descend(g, Path(rows, carriage, rates, nobody, goal), 1).seen
 
-    def _sink(self) -> None:
-        """What has come too near the surface of its link sinks back."""
+    def _sunk(self) -> _Own:
+        """The arm's Gaussians, of which those that have come too near the surface of their link sink back."""
         g = self._gaussians
         rows = g.robot_rows
-        own = g.values.index_select(0, rows)
-        radii = own[:, LOG_SCALE].exp().mean(1).cpu().double().numpy()
-        carriers, points = g.nodes.index_select(0, rows).cpu().numpy(), own[:, MEAN].cpu().double().numpy()
-        own[:, MEAN] = torch.from_numpy(self._links.beneath(carriers, points, BENEATH * radii)).to(own)
-        g.values.index_copy_(0, rows, own)
+        values = g.values.index_select(0, rows)
+        held = values.cpu().double()
+        carriers, radii = g.nodes.index_select(0, rows).cpu(), held[:, LOG_SCALE].exp().mean(1).numpy()
+        means = torch.from_numpy(self._links.beneath(carriers.numpy(), held[:, MEAN].numpy(), BENEATH * radii))
+        values[:, MEAN] = means.to(values)
+        g.values.index_copy_(0, rows, values)
+        return _Own(means, carriers)
 
     def _skin(self, one: Observed, mask: Bool, joints: JointSample) -> _Skin:
         """Where the camera sees the arm: what is measured lies on it, or nothing known lies before it.
@@ -164,37 +195,42 @@ class ArmSkin:
         counted = (own | _around(one, mask, depths)) & ~one.near_moving
         return _Skin(one, rows[inner], columns[inner], points[inner], depth[inner], links[inner], counted)
 
-    def _bear(self, skin: _Skin, shown: Rendering, poses: Poses) -> None:
+    def _bear(self, skins: Sequence[_Skin], shown: Sequence[Rendering], poses: Poses, own: _Own) -> None:
         """New Gaussians where the arm looks otherwise than its Gaussians do and none of them is near.
 
         They lie a radius behind what is seen, see `BENEATH`.
         """
+        for index, (skin, seen) in enumerate(zip(skins, shown, strict=True)):
+            its = Poses(poses.positions[index], poses.quats[index])
+            born = self._missing(skin, seen, its, own)
+            if born is not None:
+                self._gaussians.spawn(born, skin.one.view.stamp)
+                own = own.with_newborns(born)
+
+    def _missing(self, skin: _Skin, shown: Rendering, poses: Poses, own: _Own) -> Newborns | None:
+        """What one view lacks of the arm, whose links were at `poses` [M, ...] then."""
         one = skin.one
-        at = (skin.rows, skin.columns)
-        error = largest_channel(one.rgb[at], shown.pixels[..., :3][at])
+        error = largest_channel(one.rgb[skin.rows, skin.columns], shown.colours_at(skin.rows, skin.columns))
         worst = np.argsort(-error, kind="stable")[:MOST_BORN]
         worst = worst[error[worst] > WRONG]
         if not len(worst):
-            return
+            return None
         radii = SPREAD * BLOCK * skin.depth[worst] / one.view.camera.K[0, 0]
         rays = skin.points[worst] - one.view.camera.T_base_cam[:3, 3]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        points = skin.points[worst] + rays * radii[:, None]
-        with torch.no_grad():
-            own = self._motion.place(self._gaussians, self._gaussians.robot_rows, poses, [one.view.stamp]).means[0]
-        apart = torch.cdist(torch.from_numpy(points), own.cpu().double()).numpy()
-        lonely = apart.min(1, initial=np.inf) > LONELY * radii
-        if lonely.any():
-            born = self._newborns(skin, worst[lonely], points[lonely], radii[lonely], poses)
-            self._gaussians.spawn(born, one.view.stamp)
+        points = torch.from_numpy(skin.points[worst] + rays * radii[:, None])
+        lonely = torch.cdist(points, own.placed(poses)).numpy().min(1, initial=np.inf) > LONELY * radii
+        if not lonely.any():
+            return None
+        return self._newborns(skin, worst[lonely], points[torch.from_numpy(lonely)], radii[lonely], poses)
 
     def _newborns(
-        self, skin: _Skin, chosen: NDArray[np.intp], points: Float64, radii: Float64, poses: Poses
+        self, skin: _Skin, chosen: NDArray[np.intp], points: Tensor, radii: Float64, poses: Poses
     ) -> Newborns:
         device = self._gaussians.values.device
         carriers = torch.from_numpy(skin.links[chosen])
-        turn = conjugate(poses.quats[0, carriers])
-        means = rotate(turn, torch.from_numpy(points) - poses.positions[0, carriers])
+        turn = conjugate(poses.quats[carriers])
+        means = rotate(turn, points - poses.positions[carriers])
         rgb: Float32 = skin.one.rgb[skin.rows[chosen], skin.columns[chosen]]
         return Newborns(
             means.float().to(device),

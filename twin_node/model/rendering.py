@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node import splat
@@ -53,6 +54,11 @@ class Rendering:
     def pixels(self) -> Float32:
         """[H, W, 4] `rgbd` for NumPy, which several ask for; not to be written to."""
         return on_host(self.rgbd)
+
+    def colours_at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Float32:
+        """[n, 3] of some pixels [n] alone."""
+        flat = torch.from_numpy(rows * self.rgbd.shape[1] + columns).to(self.rgbd.device)
+        return on_host(self.rgbd.reshape(-1, 4).index_select(0, flat)[:, :3])
 
     @property
     def rgb(self) -> Tensor:

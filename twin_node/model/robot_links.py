@@ -69,14 +69,17 @@ class RobotLinks:
     def beneath(self, carriers: NDArray[np.int64], points: Float64, depths: Float64) -> Float64:
         """[n, 3] m: `points` [n, 3] in the frames of the links' nodes `carriers` [n], sunk into the nearest capsule of
         their link where they lie less than `depths` [n] m under its surface, to its axis at most."""
-        capsules = self._arm.capsules
-        links = self._links[(carriers[:, None] == self._rows.numpy()).argmax(1)]
-        feet = _feet(capsules.ends, points)
-        apart = np.linalg.norm(points[:, None] - feet, axis=-1)
-        nearest = np.where(capsules.links == links[:, None], apart - capsules.radii, np.inf).argmin(1)
-        foot, off = (np.take_along_axis(of, nearest[:, None, None], 1)[:, 0] for of in (feet, apart[..., None]))
-        wanted = np.maximum(capsules.radii[nearest] - depths, 0)[:, None]
-        sunk: Float64 = foot + (points - foot) * np.minimum(1, wanted / np.maximum(off, 1e-9))
+        sunk = points.copy()
+        for row, link in zip(self._rows.tolist(), self._links, strict=True):
+            own, shapes = np.flatnonzero(carriers == row), self._arm.capsules.links == link
+            ends, radii = self._arm.capsules.ends[shapes], self._arm.capsules.radii[shapes]
+            feet = _feet(ends, points[own])
+            apart = np.linalg.norm(points[own][:, None] - feet, axis=-1)
+            nearest = (apart - radii).argmin(1)
+            each = np.arange(len(own)), nearest
+            wanted = np.maximum(radii[nearest] - depths[own], 0)
+            share = np.minimum(1, wanted / np.maximum(apart[each], 1e-9))
+            sunk[own] = feet[each] + (points[own] - feet[each]) * share[:, None]
         return sunk
 
     def depths(self, joints: JointSample, camera: Camera, rays: Float64) -> Float64:
