@@ -47,7 +47,7 @@ class Undistorter:
         )
         """The pinhole camera that the output was seen by."""
         self._distorted = bool(np.any(camera.D))
-        self._depth_maps: dict[tuple[int, int], tuple[NDArray[np.int16], Bool]] = {}
+        self._depth_maps: dict[tuple[int, int], tuple[NDArray[np.int64], Bool]] = {}
         self._valid: Bool | None = None
         if self._distorted:
             self._halvings = _halvings((camera.width, camera.height), (width, height))
@@ -135,13 +135,13 @@ class Undistorter:
         shape = (depth.shape[0], depth.shape[1])
         if shape not in self._depth_maps:
             self._depth_maps[shape] = self._make_depth_map(shape)
-        xy, inside = self._depth_maps[shape]
-        picked = depth[xy[..., 1], xy[..., 0]]
-        known = inside & np.isfinite(picked) & (picked > 0)
-        return np.where(known, picked, 0).astype(np.float32)
+        at, inside = self._depth_maps[shape]
+        picked = depth.ravel().take(at).astype(np.float32, copy=False)
+        np.copyto(picked, 0, where=~(inside & (picked > 0) & (picked < np.inf)))
+        return picked
 
-    def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int16], Bool]:
-        """The nearest depth pixel (x, y) [H, W, 2] of every output pixel, and whether it is inside the depth image."""
+    def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Bool]:
+        """Where [H, W] in the depth image, row by row, every output pixel's nearest is, and whether inside of it."""
         lens = self._depth_lens
         if abs(shape[1] * lens.height / (shape[0] * lens.width) - 1) > OTHER_SHAPE:
             raise RigError(
@@ -153,7 +153,8 @@ class Undistorter:
         source = np.rint(_rescale(pixels, (lens.width, lens.height), (shape[1], shape[0])))
         limit = np.array([shape[1] - 1, shape[0] - 1])
         inside = self._reached(pixels, np.asarray(((source >= 0) & (source <= limit)).all(-1)))
-        return np.clip(source, 0, limit).astype(np.int16), inside
+        columns, rows = np.moveaxis(np.clip(source, 0, limit).astype(np.int64), -1, 0)
+        return rows * shape[1] + columns, inside
 
 
 def without_distortion(rig: Rig) -> Rig:
