@@ -19,7 +19,8 @@ from twin_node.model import ModelError, ModelParameters, SeedParameters, WindowM
 from twin_node.model.model_process import LOOK_S, PATIENCE_S, Followed, ModelProcess
 from twin_node.model.model_worker import serve
 from twin_node.model.stages import LeftS, endless, granted
-from twin_node.runtime.worker_process import EndedError, Failed, send
+from twin_node.runtime.copies import receive, send
+from twin_node.runtime.worker_process import EndedError, Failed
 from twin_node.scene import FrameSet, GaussianCloud, NodeStates, TwinState
 
 SETS = 16
@@ -147,11 +148,11 @@ def test_a_set_that_is_refused_costs_no_more_than_itself() -> None:
     model = Stubborn(ModelParameters(seed=SeedParameters(steps=1)))
     sets = sliding(4, rig())
     model.update(sets[0])
-    ours.send_bytes(pickle.dumps(model))
+    send(ours, model)
     answers = []
     for one in (sets[1], sets[3], sets[2]):
         send(ours, model.look(replace(one, stamp=sets[3].stamp)))
-        answers.append(ours.recv())
+        answers.append(receive(ours))
     thread.join(10)
     assert not thread.is_alive(), "a fault ends it"
     refused, followed, failed = answers

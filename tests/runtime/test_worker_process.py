@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from twin_node.runtime.worker_process import READY, EndedError, WorkerProcess, receive, send
+from twin_node.runtime.copies import receive, send
+from twin_node.runtime.worker_process import READY, EndedError, WorkerProcess
 
 INTERRUPTED = f"""
 import os, signal
 os.kill(os.getpid(), signal.SIGINT)  # before anything of this package is imported
-from twin_node.runtime.worker_process import receive, run, send
+from twin_node.runtime.copies import receive, send
+from twin_node.runtime.worker_process import run
 
 def main(connection):
     send(connection, {READY!r})

@@ -11,9 +11,10 @@ from twin_node.errors import TwinError
 from twin_node.model.kernels import kernels
 from twin_node.model.model_process import Followed
 from twin_node.model.window_model import WindowModel
+from twin_node.runtime.copies import receive, send
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
-from twin_node.runtime.worker_process import READY, Failed, receive, run, send
+from twin_node.runtime.worker_process import READY, Failed, run
 from twin_node.scene import TwinState
 
 NICENESS = 5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import pickle
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -115,10 +114,10 @@ class Reading:
 
     def _listen(self, process: WorkerProcess, bridge: Bridge, on_frames: OnFrames) -> None:
         cameras = LogSource(self._order.session, self._order.synchronizer).cameras
-        loaded = partial(load, cameras={camera.name: camera for camera in cameras})
+        knowing = partial(KnowingCameras, cameras={camera.name: camera for camera in cameras})
         while not bridge.is_closed:
             with _ended_is_told():
-                said = process.receive(loaded)
+                said = process.receive(knowing)
             if isinstance(said, Finished):
                 self.finished = said
                 return
@@ -146,29 +145,23 @@ def _closing(work: Callable[[], None], bridge: Bridge) -> None:
         bridge.close()
 
 
-def dump(thing: object) -> bytes:
-    """A copy in which cameras are but named: the other end has them."""
-    out = io.BytesIO()
-    _Pickler(out, pickle.HIGHEST_PROTOCOL).dump(thing)
-    return out.getvalue()
+class NamingCameras(pickle.Pickler):
+    """Copies in which cameras are but named: the other end has them."""
 
-
-def load(come: bytes, cameras: Mapping[str, Camera]) -> Any:
-    """What was dumped, with this end's `cameras` by their names: what is found out for one is good for all its sets."""
-    unpickler = _Unpickler(io.BytesIO(come))
-    unpickler.cameras = cameras
-    return unpickler.load()
-
-
-class _Pickler(pickle.Pickler):
     def persistent_id(self, obj: object) -> str | None:
         """A camera's name."""
         return obj.name if isinstance(obj, Camera) else None
 
 
-class _Unpickler(pickle.Unpickler):
-    cameras: Mapping[str, Camera]
+class KnowingCameras(pickle.Unpickler):
+    """Reads what `NamingCameras` has written, with this end's cameras: what is found out for one is good for all its
+    sets."""
+
+    def __init__(self, *given: Any, cameras: Mapping[str, Camera], **named: Any) -> None:
+        """`cameras` by their names; all else as `pickle.Unpickler` takes it."""
+        super().__init__(*given, **named)
+        self._cameras = cameras
 
     def persistent_load(self, pid: str) -> Camera:
         """The camera of a name."""
-        return self.cameras[pid]
+        return self._cameras[pid]

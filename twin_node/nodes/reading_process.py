@@ -6,11 +6,12 @@ import traceback
 from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
-from twin_node.nodes.reading import Finished, Order, dump, play
+from twin_node.nodes.reading import Finished, NamingCameras, Order, play
 from twin_node.runtime.clock import PacedClock
+from twin_node.runtime.copies import receive, send
 from twin_node.runtime.image_threads import image_loops_alone
 from twin_node.runtime.memory import peak_mb
-from twin_node.runtime.worker_process import READY, Failed, receive, run, send
+from twin_node.runtime.worker_process import READY, Failed, run
 
 
 def main(connection: Connection) -> None:
@@ -33,7 +34,7 @@ def read(connection: Connection, order: Order, clock: PacedClock) -> Finished:
     """Reads to the end, and hands over what comes."""
 
     def tell(thing: object) -> None:
-        connection.send_bytes(dump(thing))
+        send(connection, thing, NamingCameras)
 
     for _ in play(order, clock, tell, lambda topic, message: tell((topic, message))):
         pass

@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from twin_node.errors import TwinError
 from twin_node.native_library import processors
+from twin_node.runtime import copies
 
 READY = "ready"
 """What the process says first: it has loaded all that it needs."""
@@ -43,20 +44,6 @@ def is_worth_it() -> bool:
     Nowhere but on POSIX: a file descriptor is handed on.
     """
     return processors() > 1 and os.name == "posix"
-
-
-def send(connection: Connection, thing: object) -> None:
-    """Sends a copy: torch has told the connection's own `send` to share tensors between the processes instead."""
-    connection.send_bytes(pickle.dumps(thing, pickle.HIGHEST_PROTOCOL))
-
-
-def receive(connection: Connection) -> Any:
-    """What was sent next, waited for. Raises `EOFError` where the other end is closed, also within a message."""
-    try:
-        come = connection.recv_bytes()
-    except OSError as error:
-        raise EOFError from error
-    return pickle.loads(come)
 
 
 class WorkerProcess:
@@ -105,13 +92,12 @@ class WorkerProcess:
     def send(self, thing: object) -> None:
         """Hands over a copy. Raises `EndedError`."""
         with self._gone_is_told():
-            send(self.connection, thing)
+            copies.send(self.connection, thing)
 
-    def receive(self, load: Callable[[bytes], object] = pickle.loads) -> object:
+    def receive(self, make_unpickler: copies.MakeUnpickler = pickle.Unpickler) -> object:
         """What it says next, waited for. Raises the `TwinError` that it has met, and `EndedError`."""
         with self._gone_is_told():
-            come = self.connection.recv_bytes()
-        said = load(come)
+            said = copies.receive(self.connection, make_unpickler)
         if not isinstance(said, Failed):
             return said
         if isinstance(said.error, TwinError):
