@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from twin_node.messages import convert
 from twin_node.messages.convert import Level
+from twin_node.nodes import synchronizer
 from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.nodes.early import KEPT, EarlyViews
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
@@ -18,6 +20,7 @@ from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameter
 from twin_node.nodes.topics import FRAMES, JOINT_STATES
 from twin_node.runtime.bus import LocalBus
 from twin_node.scene import Camera, FrameSet, JointSample, Rig, RigCamera, View
+from twin_node.side_thread import Task
 
 MS = 1_000_000
 PERIOD = 33 * MS
@@ -121,8 +124,15 @@ class Cell:
         return {d.hardware: (d.level, d.message) for d in self.node.diagnoses()}
 
 
-@pytest.fixture
-def cell() -> Cell:
+@pytest.fixture(autouse=True)
+def few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(synchronizer, "thread_count", lambda: synchronizer.MODEL_THREADS)
+
+
+@pytest.fixture(params=["decoded here", "decoded beside"])
+def cell(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Cell:
+    if request.param == "decoded beside":
+        monkeypatch.setattr(synchronizer, "thread_count", lambda: synchronizer.MODEL_THREADS + 1)
     cell = Cell()
     cell.run(0, SECOND)
     assert {level for level, _ in cell.said().values()} == {Level.OK}
@@ -390,8 +400,11 @@ def test_views_whose_sets_never_come_are_let_go() -> None:
     views = [View(camera, stamp, np.zeros((12, 16, 3), np.uint8), None) for stamp in range(2 * KEPT)]
     image = EncodedView(None, None)
     for view in views:
-        early.keep("cam", image, view)
-    assert [early.get("cam", view.stamp, image) is view for view in views] == [False] * KEPT + [True] * KEPT
+        early.keep("cam", view.stamp, image, Task(partial(lambda view: view, view)))
+    kept = [early.get("cam", view.stamp, image) for view in views]
+    assert [of is not None and of.result() is view for of, view in zip(kept, views, strict=True)] == [False] * KEPT + [
+        True
+    ] * KEPT
     early.pass_set(2 * KEPT - 1, [("cam", 2 * KEPT - 2)])
-    assert early.get("cam", 2 * KEPT - 2, image) is None and early.get("cam", 2 * KEPT - 1, image) is views[-1]
+    assert early.get("cam", 2 * KEPT - 2, image) is None and early.get("cam", 2 * KEPT - 1, image) is kept[-1]
     assert early.set_of("cam", 2 * KEPT - 2) is None and early.set_of("cam", 100) == 101

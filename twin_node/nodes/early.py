@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.scene import View
+from twin_node.side_thread import Task
 
 KEPT = 4
 """Views of one camera: more images than that between its own and its set's last one are not worth their memory."""
@@ -20,7 +21,7 @@ class EarlyViews:
     """Views of sets that are not whole, and what tells which set an image will be in."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._kept: dict[str, dict[int, tuple[EncodedView, View]]] = {name: {} for name in names}
+        self._kept: dict[str, dict[int, tuple[EncodedView, Task[View]]]] = {name: {} for name in names}
         self._leads = dict.fromkeys(self._kept, 0)
         """By how much each camera's image was older than the last set that it was in, ns."""
         self._passed = dict.fromkeys(self._kept, -1)
@@ -44,14 +45,14 @@ class EarlyViews:
             return None
         return expected
 
-    def keep(self, name: str, encoded: EncodedView, view: View) -> None:
-        """Keeps a view, and what it was decoded from, until its set is whole, or some later ones have come."""
+    def keep(self, name: str, stamp: int, encoded: EncodedView, view: Task[View]) -> None:
+        """Keeps a view, and what it is decoded from, until its set is whole, or some later ones have come."""
         kept = self._kept[name]
-        kept[view.stamp] = encoded, view
+        kept[stamp] = encoded, view
         if len(kept) > KEPT:
             del kept[next(iter(kept))]
 
-    def get(self, name: str, stamp: int, encoded: EncodedView) -> View | None:
-        """The view of an image, if it was decoded already; what was of another one with its stamp is not its view."""
+    def get(self, name: str, stamp: int, encoded: EncodedView) -> Task[View] | None:
+        """The view of an image, if it has been begun; what is of another one with its stamp is not its view."""
         source, view = self._kept[name].get(stamp, (None, None))
         return view if source is encoded else None

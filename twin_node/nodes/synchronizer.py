@@ -9,6 +9,7 @@ from functools import partial
 
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert, from_time
+from twin_node.native_library import thread_count
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
 from twin_node.nodes.early import EarlyViews
@@ -22,9 +23,12 @@ from twin_node.runtime.clock import Clock, SteppedClock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
 from twin_node.runtime.node import Node
 from twin_node.scene import Camera, Rig, RigCamera, View
+from twin_node.side_thread import SideThread, Task
 
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
+MODEL_THREADS = 2
+"""Those that looking and following keep busy: where there are no more, another would only take from these."""
 LEAST_RATE_HZ = 1e-6
 """A set in eleven days: between rarer ones no stamp could lie."""
 
@@ -104,6 +108,7 @@ class SynchronizerNode(Node):
         self._early = EarlyViews(self._rig_cameras)
         self._decodes_early = not isinstance(clock, SteppedClock)
         """Not in lockstep: nobody waits there, and what is in no set need not be decoded."""
+        self._side_thread = SideThread() if self._decodes_early and thread_count() > MODEL_THREADS else None
         self._next_due: int | None = None
         self._published = 0
 
@@ -172,8 +177,7 @@ class SynchronizerNode(Node):
             now = max(now, by_the_cells - self._set_ahead.ahead_ns(name, by_the_cells, now))
         self._take(self._synchronizer.add(name, stamp, view, now), now)
         if self._decodes_early and self._is_due(self._early.set_of(name, stamp)):
-            with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
-                self._early.keep(name, view, self._decoded(name, stamp, view))
+            self._early.keep(name, stamp, view, self._begun(name, stamp, view))
 
     def _take(self, ready: Sequence[SyncSet[EncodedView]], now: int) -> None:
         """Hands on the sets that are ready at a time, ns, and sees to it that what waits does not wait too long."""
@@ -214,15 +218,26 @@ class SynchronizerNode(Node):
         """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
         early = self._early.get(name, member.stamp, member.payload)
         try:
-            return self._decoded(name, member.stamp, member.payload) if early is None else early
+            view = self._decoded(name, member.stamp, member.payload) if early is None else early.result()
         except TwinError as error:
             if not self._is_live:
                 raise
             self._watch.add_unusable(name, str(error))
             return None
+        if view.depth is not None and not view.depth.any():
+            self._watch.add_unmeasured(name)
+        return view
+
+    def _begun(self, name: str, stamp: int, encoded: EncodedView) -> Task[View]:
+        """A view that another thread decodes where there is a processor left for it, else this one, now."""
+        work = partial(self._decoded, name, stamp, encoded)
+        if self._side_thread is not None:
+            return self._side_thread.begin(work)
+        view = Task(work)
+        with contextlib.suppress(TwinError):  # if its set is wanted, it is told of then
+            view.result()
+        return view
 
     def _decoded(self, name: str, stamp: int, encoded: EncodedView) -> View:
         depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
-        if depth is not None and not depth.any():
-            self._watch.add_unmeasured(name)
         return self._assembler.view(name, DecodedImage(stamp, convert.rgb_from_message(encoded.colour), depth))
