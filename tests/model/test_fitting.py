@@ -10,8 +10,9 @@ import torch
 from model_scenes import block, frames, joined, rig, table
 
 from twin_node import splat
+from twin_node.model import fitting
 from twin_node.model.carriage import carry
-from twin_node.model.descending import Path, descend_fused, descend_reference
+from twin_node.model.descending import Descended, Path, descend_fused, descend_reference
 from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
 from twin_node.model.gaussians import LOG_SCALE, QUICK, RGB, WIDTH, Gaussians, Newborns
 from twin_node.model.nodes import Poses
@@ -93,6 +94,25 @@ def test_what_hardly_shows_keeps_the_colour_of_its_seed_where_depth_tells_its_pl
     assert render(store.standing(store.values), CAMERAS)[0].rgb.mean() > before + 0.3, "what shows learns"
     strayed = (store.values[seeds, RGB] - 0.3).abs().amax(1)
     assert (strayed.median() < 0.05) == depth
+
+
+def test_wide_images_are_fitted_in_larger_pixels_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    wide, widths = rig(640, 480), list[int]()
+
+    def watched(gaussians: Gaussians, path: Path, steps: int) -> Descended:
+        widths.extend([path.goal.shots.width] * steps)
+        return descend_fused(gaussians, path, steps)
+
+    monkeypatch.setattr(fitting, "descend", watched)
+    for cameras, expected in ((wide, [320] * 8 + [640] * 4), (rig(639, 480), [639] * 12)):
+        store, views = stored(table()), frames(0, None, cameras).views
+        store.values[:, RGB] = 0.5
+        goal = goal_of(views, [None] * len(views), None, CPU)
+        missed = float(photometric(shoot(store.standing(store.values), goal.shots), goal.targets))
+        del widths[:]
+        fit_all(store, views, 12)
+        assert widths == expected
+        assert float(photometric(shoot(store.standing(store.values), goal.shots), goal.targets)) < 0.5 * missed
 
 
 @pytest.mark.parametrize("rows", [48, 37])
