@@ -39,8 +39,8 @@ AT_ONCE = 2
 """Steps of the first fit between two looks at which Gaussians lie before which, and how large they are."""
 COARSE_PX, COARSE_SHARE = 320, 0.75
 """On a CPU images of twice that width and more take such a share of a first fit's steps in pixels of 2 x 2 of theirs
-and more, down to that width. Four views of 640 x 480 are fitted in half of the time, 0.3 dB worse at first and 0.1 dB worse
-within 30 sets; with as many fewer steps they are 1 dB worse. A GPU takes a second for all of it as it is."""
+and more, down to that width. Four views of 640 x 480 are fitted in half of the time, 0.3 dB worse at first and 0.1 dB
+worse within 30 sets; with as many fewer steps they are 1 dB worse. A GPU takes a second for all of it as it is."""
 TOLD_PX = 1.0
 """Blend weight, summed over a camera's pixels, from which on images alone tell a Gaussian's colour. Adam's steps are as
 long for what shines through others' rims by a hundredth of a pixel: without this such ground was yellow or red from
