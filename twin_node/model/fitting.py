@@ -63,6 +63,8 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     at_rest = carry(no_nodes, torch.full_like(rows, -1))
     alone, seeded = gaussians.standing(gaussians.values[:0]), gaussians.values[rows, RGB]
     for seen, course in ((_coarse(views), range(coarse_steps)), (views, range(coarse_steps, steps))):
+        if not course:
+            continue
         backdrops = [_black(view, gaussians.values) for view in seen]
         goal = goal_of(seen, [None] * len(seen), backdrops, gaussians.values.device)
         for begin in course[::AT_ONCE]:
