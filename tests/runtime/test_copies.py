@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twin_node.runtime.copies import LARGE, receive, send
+from twin_node.runtime.copies import LARGE, MOST_AT_ONCE, receive, send
 
 
 def passed(thing: object) -> object:
@@ -67,8 +67,7 @@ def test_a_copy_that_breaks_off_within_an_array_is_none(kept: int) -> None:
     held, cut = Pipe()
     sending = threading.Thread(target=send, args=(ours, np.ones(2 * LARGE + 1, np.uint8)))
     sending.start()
-    for _ in range(2):
-        held.send_bytes(its.recv_bytes())
+    held.send_bytes(its.recv_bytes())
     rest = bytearray()
     while len(rest) < 2 * LARGE + 1:
         rest += os.read(its.fileno(), LARGE)
@@ -78,3 +77,10 @@ def test_a_copy_that_breaks_off_within_an_array_is_none(kept: int) -> None:
     with pytest.raises(EOFError):
         receive(cut)
     feeding.join()
+
+
+def test_more_arrays_than_a_call_may_pass_arrive() -> None:
+    many = [np.full(LARGE, i % 256, np.uint8) for i in range(MOST_AT_ONCE + 1)]
+    come = passed(many)
+    assert isinstance(come, list)
+    assert all(np.array_equal(one, of) for one, of in zip(come, many, strict=True))
