@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,11 @@ import pytest
 from twin_node.messages import convert
 from twin_node.messages.convert import Level
 from twin_node.nodes import synchronizer
-from twin_node.nodes.depth_pairs import EncodedView
-from twin_node.nodes.early import KEPT, EarlyViews
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES
 from twin_node.runtime.bus import LocalBus
-from twin_node.scene import Camera, FrameSet, JointSample, Rig, RigCamera, View
-from twin_node.side_thread import Task
+from twin_node.scene import FrameSet, JointSample, Rig, RigCamera
 
 MS = 1_000_000
 PERIOD = 33 * MS
@@ -392,19 +388,3 @@ def test_of_a_camera_that_is_faster_than_the_others_half_is_not_decoded(monkeypa
     made = len(cell.sets) - before
     assert made >= SECOND - 2
     assert 3 * made <= len(decoded) <= 4 * made + 4
-
-
-def test_views_whose_sets_never_come_are_let_go() -> None:
-    early = EarlyViews(["cam"])
-    camera = Camera("cam", 16, 12, np.eye(3), np.eye(4))
-    views = [View(camera, stamp, np.zeros((12, 16, 3), np.uint8), None) for stamp in range(2 * KEPT)]
-    image = EncodedView(None, None)
-    for view in views:
-        early.keep("cam", view.stamp, image, Task(partial(lambda view: view, view)))
-    kept = [early.get("cam", view.stamp, image) for view in views]
-    assert [of is not None and of.result() is view for of, view in zip(kept, views, strict=True)] == [False] * KEPT + [
-        True
-    ] * KEPT
-    early.pass_set(2 * KEPT - 1, [("cam", 2 * KEPT - 2)])
-    assert early.get("cam", 2 * KEPT - 2, image) is None and early.get("cam", 2 * KEPT - 1, image) is kept[-1]
-    assert early.set_of("cam", 2 * KEPT - 2) is None and early.set_of("cam", 100) == 101
