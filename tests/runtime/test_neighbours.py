@@ -32,7 +32,7 @@ def network() -> Iterator[ZenohParameters]:
 
 @pytest.fixture(autouse=True)
 def looks_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neighbours, "TELL_S", 0.2)
+    monkeypatch.setattr(neighbours, "TELL_S", 0.6)
 
 
 def test_of_two_launches_that_begin_at_once_one_gets_the_names(network: ZenohParameters) -> None:
@@ -60,3 +60,14 @@ def test_names_that_are_claimed_or_alive_are_taken_until_their_owner_ends(networ
     with NodeNames(network, ["twin"]) as again, NodeNames(network, ["recorder"]) as alive:
         assert again.taken() is None
         assert alive.taken() == "recorder"
+
+
+def test_a_name_is_free_as_soon_as_the_node_that_had_it_ends(network: ZenohParameters) -> None:
+    """Who begins a node again at once is not told that it is there still: what ended is seen for a moment more."""
+    ending = ZenohWire(network)
+    ending.subscribe("page", SEPARATION, kind_of_own(SEPARATION), lambda _: None)
+    with NodeNames(network, ["page"]) as names:
+        ends = threading.Timer(0.1, ending.close)
+        ends.start()
+        assert names.taken() is None
+        ends.join()

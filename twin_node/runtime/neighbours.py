@@ -14,6 +14,8 @@ CLAIM_SPACE = "@twin_node"
 LOOK_S = 0.05
 TELL_S = 1.0
 """How long a graph looks for others, s: routers and sessions that have just begun do not know of all at once."""
+LEAVE_SHARE = 0.5
+"""After what share of `TELL_S` the later of two that claim a name leaves: well before the other has waited for it."""
 
 
 class NodeNames:
@@ -35,15 +37,19 @@ class NodeNames:
     def taken(self) -> str | None:
         """One of the names that a node has which is alive, or that another launch claims; None: all are free.
 
-        Of two launches that claim it at once, the one whose session has the lower number gets it.
+        Of two launches that claim it at once, the one whose session has the lower number gets it. Who has just ended
+        is seen for a few looks more: only who stays has the name.
         """
-        until, found = time.monotonic() + TELL_S, frozenset[tuple[str, str]]()
+        until = time.monotonic() + TELL_S
+        since: dict[tuple[str, str], float] = {}
         while True:
-            before, found = found, self._contested()
-            if any(by < self._id for by, _ in found):
-                return min(name for _, name in found)
-            if time.monotonic() > until:  # who was to go has gone
-                return min((name for _, name in before | found), default=None)
+            before, now = since, time.monotonic()
+            since = {owner: before.get(owner, now) for owner in self._contested()}
+            stay = [name for (by, name), seen in since.items() if now - seen >= self._patience_s(by)]
+            if stay:
+                return min(stay)
+            if now > until and not before and not since:
+                return None
             time.sleep(LOOK_S)
 
     def close(self) -> None:
@@ -55,6 +61,10 @@ class NodeNames:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _patience_s(self, by: str) -> float:
+        """How long to wait for another to give a name up that this claims too, s."""
+        return LEAVE_SHARE * TELL_S if by < self._id else TELL_S
 
     def _contested(self) -> frozenset[tuple[str, str]]:
         """Who has one of the names, and which: the number of another launch's session, nothing where it is alive."""
