@@ -28,26 +28,26 @@ class GroundDepth {
 
   // How long each pixel has not been measured, and where ground is so often that the lack of it tells.
   void look() {
-    const float rate = static_cast<float>(p_.learning_rate), least = static_cast<float>(p_.telling);
-    const float lost_ns = static_cast<float>(p_.lost_ns);
     tells_.resize(pixels_);
     lost_.resize(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      const bool is_measured = r_.measured != nullptr && r_.measured[at] > 0, is_free = r_.seen[at] && !r_.mask[at];
-      r_.blind_ns[at] = is_measured ? 0.f : r_.blind_ns[at] + r_.elapsed_ns;
-      if (r_.measured != nullptr && is_free) r_.telling[at] += rate * ((is_measured ? 1.f : 0.f) - r_.telling[at]);
-      tells_[at] = !r_.is_silent && r_.telling[at] >= least;
-      lost_[at] = tells_[at] && r_.blind_ns[at] > lost_ns;
+    const float *measured = r_.measured;
+    if (measured == nullptr) {
+      look([](int64_t) -> uint8_t { return 0; }, 0.f);
+    } else {
+      look([measured](int64_t at) -> uint8_t { return measured[at] > 0; }, static_cast<float>(p_.learning_rate));
     }
   }
 
   // Where a measured surface stands in front of the background's, and where one did when something was measured last.
   void find_in_front() {
-    in_front_.assign(pixels_, 0);
-    if (r_.measured != nullptr) in_front_ = before_ground([&](int64_t at) { return r_.measured[at]; });
-    was_in_front_ = before_ground([&](int64_t at) {
-      return r_.measured != nullptr && r_.measured[at] > 0 ? r_.measured[at] : r_.measured_last[at];
-    });
+    const float *measured = r_.measured, *last = r_.measured_last;
+    if (measured == nullptr) {
+      in_front_.assign(pixels_, 0);
+      was_in_front_ = before_ground([last](int64_t at) { return last[at]; });
+    } else {
+      in_front_ = before_ground([measured](int64_t at) { return measured[at]; });
+      was_in_front_ = before_ground([=](int64_t at) { return measured[at] > 0 ? measured[at] : last[at]; });
+    }
   }
 
   bool in_front(int64_t at) const { return in_front_[at]; }
@@ -68,8 +68,21 @@ class GroundDepth {
   Mask come_in_front() const {
     Mask come(pixels_, 0);
     if (r_.measured == nullptr) return come;
-    for (int64_t at = 0; at < pixels_; at++) come[at] = in_front_[at] && has_come(at);
-    return dilated(come.data(), r_.width, r_.height, kCross);
+    const float nearer = static_cast<float>(1 - p_.depth_levels), near = static_cast<float>(kNearM);
+    const float *measured = r_.measured, *last = r_.measured_last;
+    const uint8_t *in_front = in_front_.data();
+    uint8_t *out = come.data();
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
+      // What only comes nearer may be the background itself.
+      const float now = measured[at], before = last[at];
+      const uint8_t is_told = (before > 0) & (now > 0), has_come = now < before * nearer - near;
+      out[at] = in_front[at] & ((is_told ^ 1) | has_come);
+    }
+    come = dilated(come.data(), r_.width, r_.height, kCross);
+    for (int64_t at = 0; at < end; at++) come[at] &= in_front_[at];
+    return come;
   }
 
   // Knows nothing of ground that something measured has left, and that is not: a mat, a shining floor.
@@ -77,41 +90,58 @@ class GroundDepth {
 
   // Draws the ground towards what is measured, by shares `rates`, above 0 where a pixel is free.
   void learn(const std::vector<float> &rates) {
-    const float learning_rate = static_cast<float>(p_.learning_rate);
-    for (int64_t at = 0; at < pixels_ && r_.measured != nullptr; at++) {
-      const float measured = r_.measured[at], depth = r_.depth[at], behind = std::min(measured, r_.measured_last[at]);
-      if (!(measured > 0)) continue;
-      r_.measured_last[at] = measured;
-      if (depth > 0 && behind > depth * static_cast<float>(1 + p_.depth_levels) + static_cast<float>(kNearM)) {
-        r_.depth[at] = behind;
-        continue;
-      }
-      const float known = measured > depth ? std::max(rates[at], learning_rate) : rates[at];
-      const float share = depth == 0.f ? (rates[at] > 0 ? 1.f : 0.f) : known;
-      r_.depth[at] += share * (measured - depth);
+    if (r_.measured == nullptr) return;
+    const float learning_rate = static_cast<float>(p_.learning_rate), near = static_cast<float>(kNearM);
+    const float farther = static_cast<float>(1 + p_.depth_levels);
+    const float *__restrict__ measured = r_.measured, *__restrict__ rate = rates.data();
+    float *__restrict__ ground = r_.depth, *__restrict__ last = r_.measured_last;
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
+      const float now = measured[at], depth = ground[at], before = last[at], free = rate[at];
+      const float behind = before < now ? before : now, at_least = free < learning_rate ? learning_rate : free;
+      const float share = depth == 0.f ? (free > 0 ? 1.f : 0.f) : (now > depth ? at_least : free);
+      const float drawn = depth + share * (now - depth);
+      const float next = (depth > 0) & (behind > depth * farther + near) ? behind : drawn;
+      ground[at] = now > 0 ? next : depth;
+      last[at] = now > 0 ? now : before;
     }
   }
 
  private:
-  // Whether one depth is clearly less than another, both known.
-  bool is_before(float depth, float other) const {
-    return depth < other * static_cast<float>(1 - p_.depth_levels) - static_cast<float>(kNearM);
-  }
-
-  // Whether what is measured was not there in the image before: what only comes nearer may be the background itself.
-  bool has_come(int64_t at) const {
-    const float last = r_.measured_last[at];
-    return !(last > 0 && r_.measured[at] > 0) || is_before(r_.measured[at], last);
+  template <class Measured>
+  void look(const Measured &is_measured, float rate) {
+    const float least = static_cast<float>(p_.telling), lost_ns = static_cast<float>(p_.lost_ns);
+    const float elapsed_ns = r_.elapsed_ns;
+    const uint8_t speaks = !r_.is_silent;
+    const uint8_t *__restrict__ seen = r_.seen, *__restrict__ mask = r_.mask;
+    float *__restrict__ blind_ns = r_.blind_ns, *__restrict__ telling = r_.telling;
+    uint8_t *__restrict__ tells = tells_.data(), *__restrict__ lost = lost_.data();
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
+      const uint8_t is = is_measured(at), is_free = seen[at] & (mask[at] ^ 1);
+      const float longer_ns = blind_ns[at] + elapsed_ns, blind = is != 0 ? 0.f : longer_ns, told = telling[at];
+      const float drawn = told + rate * ((is != 0 ? 1.f : 0.f) - told), share = is_free != 0 ? drawn : told;
+      blind_ns[at] = blind;
+      telling[at] = share;
+      tells[at] = speaks & (share >= least);
+      lost[at] = speaks & (share >= least) & (blind > lost_ns);
+    }
   }
 
   template <class Depth>
   Mask before_ground(const Depth &depth_at) const {
-    Mask near(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) {
-      const float depth = depth_at(at);
-      near[at] = r_.seen[at] && depth > 0 && is_known(at) && is_before(depth, r_.depth[at]);
+    Mask before(pixels_);
+    const float nearer = static_cast<float>(1 - p_.depth_levels), near = static_cast<float>(kNearM);
+    const float *__restrict__ ground = r_.depth;
+    const uint8_t *__restrict__ seen = r_.seen;
+    uint8_t *__restrict__ out = before.data();
+    for (int64_t at = 0, end = pixels_; at < end; at++) {
+      const float depth = depth_at(at), behind = ground[at];
+      out[at] = seen[at] & (depth > 0) & (behind > 0) & (depth < behind * nearer - near);
     }
-    return dilated(eroded(near, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
+    return dilated(eroded(before, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
   }
 
   const MaskRequest &r_;

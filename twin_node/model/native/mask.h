@@ -95,7 +95,6 @@ class MaskUpdate {
     for (int64_t at = 0; at < pixels_; at++) {
       if (r_.seen[at] && !r_.known[at]) fresh.push_back(at);
     }
-    if (fresh.empty()) return;
     const Mask around = dilated(r_.mask, r_.width, r_.height, closing_);
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
@@ -118,9 +117,12 @@ class MaskUpdate {
     const float elapsed_ns = r_.elapsed_ns;
     float *__restrict__ still_ns = r_.still_ns;
     uint8_t *__restrict__ settled = settled_.data();
-    for (int64_t at = 0, end = pixels_; at < end; at++) {
-      const float change = difference(image, reference, gains, at), longer_ns = still_ns[at] + elapsed_ns;
-      const float for_ns = difference(image, last, {1.f, 1.f, 1.f}, at) < quiet ? longer_ns : 0.f;
+    const Gains same{1.f, 1.f, 1.f};
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
+      const float change = difference(image, reference, gains, at), moved = difference(image, last, same, at);
+      const float longer_ns = still_ns[at] + elapsed_ns, for_ns = moved < quiet ? longer_ns : 0.f;
       still_ns[at] = for_ns;
       settled[at] = (for_ns > settle_ns) & (change < quiet);
     }
@@ -158,7 +160,11 @@ class MaskUpdate {
 
   Mask moving() const {
     std::vector<float> evidence(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) evidence[at] = r_.trusted[at] && r_.seen[at] ? difference_[at] : 0.f;
+    const float *apart = difference_.data();
+    for (int64_t at = 0; at < pixels_; at++) {
+      const float difference = apart[at];
+      evidence[at] = (r_.trusted[at] & r_.seen[at]) != 0 ? difference : 0.f;
+    }
     const Mask strong = strong_regions(evidence, r_.width, r_.height, 0.5f * threshold_, threshold_,
                                        p_.smallest_area * static_cast<double>(pixels_));
     Mask out = closed(strong, r_.width, r_.height, closing_);
@@ -198,9 +204,15 @@ class MaskUpdate {
   // notice that it is a thing: there the former does not count.
   void doubt(const Mask &mask) const {
     const Mask come = depth_.come_in_front();
-    for (int64_t at = 0; at < pixels_; at++) {
-      const bool begins = mask[at] && !r_.mask[at] && !(r_.confirmed[at] && depth_.is_known(at));
-      if (begins && like_ground(at) && !(depth_.in_front(at) && come[at])) r_.trusted[at] = 0;
+    const uint8_t *now = mask.data(), *arrives = come.data(), *held = r_.mask, *confirmed = r_.confirmed;
+    const float *apart = difference_.data(), *ground = r_.depth, likeness = 0.5f * threshold_;
+    uint8_t *trusted = r_.trusted;
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
+      const uint8_t is_ground = confirmed[at] & (ground[at] > 0), alike = apart[at] < likeness;
+      const uint8_t begins = now[at] & (held[at] ^ 1) & (is_ground ^ 1);
+      trusted[at] &= (begins & alike & (arrives[at] ^ 1)) ^ 1;
     }
   }
 
@@ -292,7 +304,9 @@ class MaskUpdate {
     count_colours(mask);
     std::vector<int64_t> open, found;
     Mask known(pixels_);
-    for (int64_t at = 0; at < pixels_; at++) known[at] = r_.seen[at] && !mask[at];
+    const uint8_t *seen = r_.seen, *now = mask.data();
+    uint8_t *is_known = known.data();
+    for (int64_t at = 0, end = pixels_; at < end; at++) is_known[at] = seen[at] & (now[at] ^ 1);
     const Mask free = known;
     for (int64_t at = 0; at < pixels_; at++) {
       if (!settled_[at] || !mask[at] || depth_.was_in_front(at)) continue;
@@ -335,7 +349,9 @@ class MaskUpdate {
     const uint8_t *__restrict__ seen = r_.seen;
     uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask;
     float *__restrict__ rate = rates.data();
-    for (int64_t at = 0, end = pixels_; at < end; at++) {
+    const int64_t end = pixels_;
+#pragma omp simd
+    for (int64_t at = 0; at < end; at++) {
       const uint8_t is_uncovered = uncovered[at], moves = now[at] & (is_uncovered ^ 1);
       confirmed[at] |= (held[at] & (now[at] ^ 1)) | is_uncovered;
       trusted[at] |= is_uncovered;
@@ -343,8 +359,9 @@ class MaskUpdate {
       rate[at] = (seen[at] & (moves ^ 1)) != 0 ? (is_uncovered != 0 ? 1.f : learning_rate) : 0.f;
     }
     for (int k = 0; k < 3; k++) {
-      float *background = r_.background + k * pixels_;
-      for (int64_t at = 0; at < pixels_; at++) background[at] += rates[at] * (plain(k, at) - background[at]);
+      float *__restrict__ background = r_.background + k * pixels_;
+      const float *__restrict__ seen_there = plain_.data() + k * pixels_;
+      for (int64_t at = 0; at < end; at++) background[at] += rate[at] * (seen_there[at] - background[at]);
     }
     depth_.learn(rates);
   }

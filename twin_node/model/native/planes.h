@@ -21,7 +21,10 @@ struct Planes {
 // Largest difference over the channels of image and other * gain.
 inline float difference(const Planes &image, const Planes &other, const Gains &gain, int64_t at) {
   float most = 0.f;
-  for (int k = 0; k < 3; k++) most = std::max(most, std::fabs(image(k, at) - other(k, at) * gain[k]));
+  for (int k = 0; k < 3; k++) {
+    const float apart = std::fabs(image(k, at) - other(k, at) * gain[k]);
+    most = most < apart ? apart : most;
+  }
   return most;
 }
 
