@@ -46,6 +46,7 @@ inline void compare_pixels(const ObserveRules &rules, const ObservedView &v, int
       misfit[i] = std::min(known[i], difference[i] + rules.growth);
       surprise[i] = usable[i] != 0 ? std::max(difference[i] - misfit[i], 0.f) : 0.f;
     }
+#pragma omp simd
     for (int64_t i = 0; i < count; i++) {
       const bool wrong = surprise[i] > rules.threshold, moves = near_moving[i] != 0;
       wrong_s[i] = (wrong & !moves) ? before_s[i] + rules.elapsed_s : 0.f;
