@@ -82,7 +82,7 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
 def _coarse(views: Sequence[View]) -> list[View]:
     """The views in larger pixels, where they are wide."""
     narrower = WholeNarrower()
-    return [narrower.view(view, max(view.camera.width // COARSE_PX, 1)) for view in views]
+    return [narrower.down_to(view, COARSE_PX) for view in views]
 
 
 def _black(view: View, like: Tensor) -> Tensor:

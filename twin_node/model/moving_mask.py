@@ -84,7 +84,7 @@ class MovingMask:
 
     def _narrowed(self, view: View) -> View:
         """The view as it is looked at."""
-        return self._narrower.view(view, max(view.camera.width // WIDTH, 1))
+        return self._narrower.down_to(view, WIDTH)
 
     def _camera_of(self, view: View) -> CameraMask:
         camera = self._cameras.get(view.camera.name)

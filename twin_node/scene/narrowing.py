@@ -71,6 +71,10 @@ class WholeNarrower:
         width = view.camera.width // factor
         return self._by_width.setdefault(width, Narrower(width)).view(view)
 
+    def down_to(self, view: View, least_width: int) -> View:
+        """The view made as small as it can be while it stays at least so many pixels wide."""
+        return self.view(view, max(view.camera.width // least_width, 1))
+
 
 def narrowed_to(camera: Camera, mask: Bool) -> Bool:
     """The pixels of a narrowed camera in which there is something of a mask [H, W] of the wide one; or the mask."""
