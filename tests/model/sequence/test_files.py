@@ -67,7 +67,7 @@ def test_a_checkpoint_knows_its_cameras_and_times(trained: Trainer, checkpoint: 
 
 
 def test_another_recording_is_refused(checkpoint: Path) -> None:
-    with pytest.raises(ModelError, match=r"18 images at 6 times.*found 9 at 3"):
+    with pytest.raises(ModelError, match=r"18 images at 6 stamps.*found 9 at 3"):
         load_checkpoint(checkpoint).resume(block_recording(3))
 
 

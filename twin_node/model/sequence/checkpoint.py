@@ -114,7 +114,7 @@ class Checkpoint:
         if len(recording.train) != header.images or found != header.stamps:
             raise ModelError(
                 f"{self.path}: expected the recording that it was trained on ({header.images} images at "
-                f"{len(header.stamps)} times), found {len(recording.train)} at {len(found)} in {recording.name}; "
+                f"{len(header.stamps)} stamps), found {len(recording.train)} at {len(found)} in {recording.name}; "
                 "give the same data, --hold-out and --frames"
             )
         self._check_cameras(recording)
