@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -286,3 +288,17 @@ def test_a_topic_that_nobody_knows_is_declared_before_it_is_listened_to() -> Non
     listener.listen("/foreign")
     talker.bus.publish("/foreign", text("known by its message"))
     assert listener.wait().data == "known by its message"
+
+
+def test_a_program_ends_that_never_closed_its_wire() -> None:
+    """Python waits for the thread that zenoh calls back on before anything that is told by `atexit`."""
+    pytest.importorskip("zenoh")
+    program = """
+from twin_node.bench.graph_run import free_endpoint
+from twin_node.runtime.qos import RELIABLE, TopicKind
+from twin_node.runtime.zenoh_session import ZenohParameters
+from twin_node.runtime.zenoh_wire import ZenohWire
+wire = ZenohWire(ZenohParameters(router="external", endpoint=free_endpoint(), domain=0))
+wire.subscribe("listener", "/chatter", TopicKind("std_msgs/msg/String", RELIABLE), print)
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0

@@ -11,6 +11,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from twin_node.messages import builtin_types
@@ -35,6 +36,8 @@ from twin_node.runtime.zenoh_session import ZenohParameters, open_session
 PUBLISHERS_REMEMBERED = 256
 """Publishers per subscription whose newest sequence number is kept; far more than a graph has of one topic."""
 
+_open: set[ZenohWire] = set()
+
 
 class ZenohWire:
     """A process's end of the network."""
@@ -53,7 +56,8 @@ class ZenohWire:
         self._is_watching = False
         self._lock = threading.Lock()
         self._is_closed = False
-        atexit.register(self.close)  # an open session with callbacks would keep the interpreter from ending
+        _open.add(self)
+        _close_at_the_end()
         self.refused = 0
         """Samples that came out of order."""
 
@@ -129,7 +133,7 @@ class ZenohWire:
         if self._is_closed:
             return
         self._is_closed = True
-        atexit.unregister(self.close)
+        _open.discard(self)
         self._local.close()
         with self._lock:
             kept, self._kept = self._kept, []
@@ -280,3 +284,20 @@ class _Receiver:
         while len(self._newest) > PUBLISHERS_REMEMBERED:
             del self._newest[next(iter(self._newest))]
         return True
+
+
+@cache
+def _close_at_the_end() -> None:
+    """Has wires that are still open closed when the program ends.
+
+    Python waits for zenoh's threads that call back before it does what `atexit` was told: those end with their session.
+    """
+    thread = threading.Thread(target=_close_after_main, name="end of wires", daemon=True)
+    thread.start()
+    atexit.register(thread.join)
+
+
+def _close_after_main() -> None:
+    threading.main_thread().join()
+    for wire in tuple(_open):
+        wire.close()
