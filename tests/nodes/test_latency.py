@@ -45,8 +45,8 @@ def test_forecasts_that_come_too_late_for_any_arm_are_told_of() -> None:
     assert measured(*[900.0] * 29).warnings == ()
     assert measured(*[40.0] * 31, *[5000.0] * 29).warnings == ()
     assert measured(*[900.0] * 60).warnings == (
-        "latency: forecasts come 900 ms after their images, and an arm stands for what is older than 400 ms; choose a "
-        "smaller size or image width, or a faster machine",
+        "latency: forecasts come 900 ms after their images' stamps, and an arm stands for what is older than 400 ms; "
+        "set the cameras' clocks if they are behind, else choose a smaller size or image width, or a faster machine",
     )
 
 

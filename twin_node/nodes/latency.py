@@ -52,9 +52,9 @@ class Latency:
         if len(self._samples_ns) < FEWEST or self.percentile_ms(50) <= LONGEST_BRIDGED_NS / 1e6:
             return ()
         return (
-            f"latency: forecasts come {self.percentile_ms(50):.0f} ms after their images, and an arm stands for what "
-            f"is older than {LONGEST_BRIDGED_NS / 1e6:.0f} ms; choose a smaller size or image width, or a faster "
-            "machine",
+            f"latency: forecasts come {self.percentile_ms(50):.0f} ms after their images' stamps, and an arm stands "
+            f"for what is older than {LONGEST_BRIDGED_NS / 1e6:.0f} ms; set the cameras' clocks if they are behind, "
+            "else choose a smaller size or image width, or a faster machine",
         )
 
     def percentile_ms(self, percent: float) -> float:
