@@ -15,8 +15,8 @@ from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.stand_in import DASHBOARD_PORT, RTDE_PORT, StandIn, StandInParameters
 from twin_node.cell.ur_sim.status import Status, from_line
 
-_START_S = 30.0
-"""Longest that a busy computer may take to start it."""
+_START_S = 120.0
+"""Longest that a busy computer may take to start it; one that has ended is told of at once."""
 _ANSWER_S = 10.0
 """Longest that it may take to answer."""
 
