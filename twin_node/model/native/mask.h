@@ -95,6 +95,7 @@ class MaskUpdate {
     for (int64_t at = 0; at < pixels_; at++) {
       if (r_.seen[at] && !r_.known[at]) fresh.push_back(at);
     }
+    if (fresh.empty()) return;
     const Mask around = dilated(r_.mask, r_.width, r_.height, closing_);
     for (const int64_t at : fresh) {
       r_.known[at] = 1;
