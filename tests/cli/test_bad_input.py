@@ -165,7 +165,10 @@ def test_a_report_that_has_no_place_is_refused_before_the_run(
         assert not out.exists()
 
 
-@pytest.mark.parametrize("command", ["intrinsics x --board x", "rig x", "hand-eye x", "refine x", "time x"])
+@pytest.mark.parametrize(
+    "command",
+    ["intrinsics x --board x", "rig x", "hand-eye x", "refine x", "time x", "import kalibr x", "report x"],
+)
 @pytest.mark.parametrize("name", ["nowhere/rig.yaml", "."])
 def test_a_calibration_that_has_no_place_is_refused_before_it_is_made(
     command: str, name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -174,6 +177,17 @@ def test_a_calibration_that_has_no_place_is_refused_before_it_is_made(
         main(["calibrate", *command.split(), "-o", str(tmp_path / name)])
     assert exit_.value.code == 2
     assert "expected the name of a file in a folder that exists" in capfd.readouterr().err
+
+
+def test_pictures_of_a_report_that_have_no_place_are_refused_before_it_is_made(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for name in ("file", "file/below"):
+        with pytest.raises(SystemExit) as exit_:
+            main(["calibrate", "report", "rig", "-o", str(tmp_path / "a.html"), "--pictures", str(tmp_path / name)])
+        assert exit_.value.code == 2
+        assert "expected a folder, or a place to make one" in capfd.readouterr().err
 
 
 def test_a_demo_that_has_no_place(tmp_path: Path, refused: Callable[..., str]) -> None:

@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
+import numpy as np
 import pytest
 
 from twin_node.cli import main
+
+RIG, BOARD = "calibration/pusht_3cam.yaml", "chessboard:9x6:0.025"
+
+
+@pytest.fixture
+def poses(tmp_path: Path) -> Path:
+    """A session of one picture, whose pose is given as it is."""
+    cv2.imwrite(str(tmp_path / "stop.png"), np.zeros((32, 32), np.uint8))
+    pose = "{x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 1}"
+    (tmp_path / "cal_data.yaml").write_text(f"- {{image: stop.png, pose: {pose}}}\n")
+    return tmp_path
 
 
 @pytest.mark.parametrize(
@@ -21,15 +36,33 @@ from twin_node.cli import main
         (["demo", "--port", "8081"], "--port", "expected with --viewer"),
         (["export", "a.mcap", "--to", "csv", "-o", "a", "--arm", "ur5e", "--params", "p.yaml"], "--arm", "expected"),
         (["calibrate", "hand-eye", "x", "--camera", "left"], "--camera", "expected with --rig"),
+        (["calibrate", "hand-eye", "{poses}", "--arm", "ur5e"], "--arm", "expected with stops that give `joints`"),
+        (["calibrate", "check", RIG, "--board", BOARD, "--duration", "5"], "--board, --duration", "expected with"),
+        (["calibrate", "check", RIG, "{poses}", "--arm", "ur5e", "--remap", "/a:=/b"], "--arm, --remap", "exp"),
+        (["calibrate", "check", RIG, "a.mcap", "--board", BOARD], "--board", "expected with a folder of recordings"),
+        (["calibrate", "report", RIG, "--board", BOARD, "-o", "{poses}/a.html"], "--board", "expected with rec"),
+        (
+            ["calibrate", "rig", "x", "-o", "{poses}/r.yaml", "--lenses", RIG, "--model", "equidistant"],
+            "--model",
+            "exp",
+        ),
+        (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--arm", "ur5e"], "--arm", "expected with --time"),
+        (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--width", "16"], "--width", "expected with --time"),
+        (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--max-offset", "1"], "--max-offset", "expected with --"),
         (["record", "-a", "/tf", "/twin/status"], "--all", "expected instead of topics, found /tf, /twin/status too"),
     ],
 )
 def test_an_option_that_would_change_nothing_is_refused_alone(
-    arguments: list[str], named: str, why: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    named: str,
+    why: str,
+    poses: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("twin_node.bench.forecast_speed.run", None)  # what is not refused fails
     monkeypatch.setattr("twin_node.cell.load_scenario", None)
     monkeypatch.setattr("twin_node.nodes.live.single.run_single", None)
-    assert main(arguments) == 2
+    assert main([one.format(poses=poses) for one in arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"twin_node: error: {named}: {why}")

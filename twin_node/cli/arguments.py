@@ -38,13 +38,18 @@ SEEDS = Range(0, 2**63 - 1024)
 
 
 def add_source_options(parser: argparse.ArgumentParser) -> None:
+    """Which part of a log to read, and how, beside what the chain's parameters say."""
+    add_part_options(parser)
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
+
+
+def add_part_options(parser: argparse.ArgumentParser) -> None:
     """Which part of a log to read, and how."""
     parser.add_argument("--start-offset", type=not_negative, metavar="S", help="skip the first S seconds")
     parser.add_argument("--duration", type=positive, metavar="S", help="stop after S seconds of the log")
     parser.add_argument("--max-rate", type=positive, metavar="HZ", help="take at most so many image sets per second")
     parser.add_argument("--width", type=width, metavar="PX", help="working width of the images")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
-    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS parameter file of the chain")
     add_remap(parser)
 
 
@@ -165,6 +170,20 @@ def file_to_write(text: str) -> Path:
     if is_taken(path):
         raise argparse.ArgumentTypeError(taken(path))
     return path
+
+
+def folder_to_write(text: str) -> Path:
+    """A folder, there or not, that files can be written to when the work is done: a wrong name is told before."""
+    path = at_home(Path(text))
+    if (there := in_the_way(path)) is not None:
+        raise argparse.ArgumentTypeError(f"{text}: expected a folder, or a place to make one, found {there}")
+    return path
+
+
+def in_the_way(folder: Path) -> Path | None:
+    """What keeps a folder from being made, or files from being written to it; None where nothing does."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    return None if there.is_dir() and os.access(there, os.W_OK) else there
 
 
 def check_output(path: Path, *suffixes: str) -> None:

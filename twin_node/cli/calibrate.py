@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import file_to_write, not_negative, whole
+from twin_node.cli.arguments import file_to_write, not_negative, refuse_given, whole
 from twin_node.cli.calibrate_files import (
     add_board,
     add_check,
@@ -81,7 +81,7 @@ def add_rig(kinds: Any) -> None:
         "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
     )
     parser.add_argument("--board", metavar="BOARD", help=f"where DIR holds none: {BOARD_HELP}")
-    parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
+    parser.add_argument("--model", choices=MODELS, help="distortion model (plumb_bob; equidistant: fisheye)")
     parser.add_argument("--lenses", type=Path, metavar="RIG.yaml", help="start from the lenses of this rig file")
     parser.add_argument("--fixed-lenses", action="store_true", help="do not refine lenses with the poses")
     parser.add_argument(
@@ -172,6 +172,8 @@ def _rig(options: argparse.Namespace) -> None:
     from twin_node.rig.calibrate.recordings import with_lenses
     from twin_node.rig.calibrate.results import board_as_base, left_open, rig_file_of
 
+    if options.lenses is not None:
+        refuse_given(options, ("model",), "expected without --lenses, which have their own; leave one of them out")
     board = board_of(options.folder, options.board)
     cameras = recordings_of(options.folder, board, options.every)
     if options.lenses is not None:
@@ -182,7 +184,7 @@ def _rig(options: argparse.Namespace) -> None:
     if options.board_is_base_at is not None:
         base_ns = min(int(camera.stamps[0]) for camera in cameras) + round(options.board_is_base_at * 1e9)
     rig_options = RigOptions(
-        options.model,
+        options.model or MODELS[0],
         not options.fixed_lenses,
         SHAPES[options.board_shape],
         not options.fixed_clocks,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_remap, positive
+from twin_node.cli.arguments import add_remap, file_to_write, folder_to_write, positive, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
 from twin_node.json_text import json_text
@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 UNTOLD_STATUS = 3
 """Exit status of `check` where nothing was found wrong, but not everything could be told."""
-CHECK_WIDTH, CHECK_RATE_HZ = 160, 4.0
-"""Size and rate of the images that `check` looks at in a log: mistakes are gross, and motion is slow."""
+CHECK_WIDTH, CHECK_RATE_HZ, CHECK_S = 160, 4.0, 20.0
+"""Size, rate and time of the images that `check` looks at in a log: mistakes are gross, and motion is slow."""
+OF_A_LOG = ("arm", "duration", "remap")
+"""Options of `check` that say how a log is read."""
 FORMATS = ("camera_info", "colmap", "kalibr", "opencv", "qualisys", "toml")
 
 
@@ -40,7 +42,7 @@ def add_check(kinds: Any) -> None:
     )
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
-    parser.add_argument("--duration", type=positive, default=20.0, metavar="S", help="of the log to read (default 20)")
+    parser.add_argument("--duration", type=positive, metavar="S", help=f"of the log to read (default {CHECK_S:g})")
     add_remap(parser)
     add_json(parser)
     parser.set_defaults(run=_check)
@@ -66,7 +68,9 @@ def add_import_calibration(kinds: Any) -> None:
     parser = kinds.add_parser("import", help="the calibration of another tool as a rig file")
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("source", type=Path, metavar="PATH", help="its file or folder")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RIG.yaml", help="rig file to write")
+    parser.add_argument(
+        "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
+    )
     parser.add_argument(
         "--unit-m", type=positive, metavar="M", help="length of its unit in metres (1; of qualisys 0.001)"
     )
@@ -80,8 +84,10 @@ def add_report(kinds: Any) -> None:
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="recordings of a board, as for `rig`")
     parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--before", type=Path, metavar="OLD.yaml", help="an earlier rig of the same cameras, beside it")
-    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write its pictures as PNG files here, too")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.html", help="page to write")
+    parser.add_argument(
+        "--pictures", type=folder_to_write, metavar="DIR", help="write its pictures as PNG files here, too"
+    )
+    parser.add_argument("-o", "--output", type=file_to_write, required=True, metavar="PAGE.html", help="page to write")
     parser.set_defaults(run=_report)
 
 
@@ -89,6 +95,8 @@ def _check(options: argparse.Namespace) -> int:
     from twin_node.rig import RigError, load_rig
     from twin_node.rig.calibrate.check import check_numbers
 
+    if options.recording is None:
+        refuse_given(options, ("board", *OF_A_LOG), "expected with a recording to check the rig against; add it")
     rig = load_rig(options.rig, facing=False).rig
     verdict = check_numbers(rig) if options.recording is None else _against_recording(options, rig)
     untold = sorted(mistake.value for mistake in verdict.untold)
@@ -126,9 +134,11 @@ def _against_recording(options: argparse.Namespace, rig: Rig) -> Verdict:
     from twin_node.rig.calibrate.rig_fit import common_sightings
 
     if options.recording.is_dir() and not (options.recording / "metadata.yaml").is_file():
+        refuse_given(options, OF_A_LOG, f"expected with a log, found {options.recording}, a folder; leave it out")
         board = board_of(options.recording, options.board)
         sightings = common_sightings(board, rig, recordings_of(options.recording, board))
         return check_against_board(board, rig, sightings)
+    refuse_given(options, ("board",), f"expected with a folder of recordings, found {options.recording}; leave it out")
     return _against_log(options, rig)
 
 
@@ -141,7 +151,8 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
     from twin_node.rig.undistort import without_distortion
 
     raw = without_distortion(rig)
-    with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=options.duration) as session:
+    duration_s = options.duration or CHECK_S
+    with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=duration_s) as session:
         arm = session.arm(options.arm) if options.arm else None
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())
         sets = list(tqdm(source, unit="set", desc="read", disable=None))
@@ -181,6 +192,8 @@ def _report(options: argparse.Namespace) -> None:
     from twin_node.rig.calibrate.report import Calibration, save_pictures, write_report
     from twin_node.rig.calibrate.rig_fit import common_sightings, fit, settled
 
+    if options.folder is None:
+        refuse_given(options, ("board",), "expected with recordings of a board; add their folder")
     files = [load_rig(path) for path in (options.rig, options.before) if path is not None]
     calibrations = [Calibration(rig_file) for rig_file in files]
     if options.folder is not None:

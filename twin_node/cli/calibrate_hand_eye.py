@@ -51,6 +51,8 @@ def _hand_eye(options: argparse.Namespace) -> None:
     if options.rig is None:
         refuse_given(options, ("camera",), "expected with --rig, whose cameras have names; leave it out")
     stops = read_stops(options.views, arm_model(options.arm) if options.arm else None)
+    if all(stop.T_base_flange_off is None for stop in stops):
+        refuse_given(options, ("arm",), "expected with stops that give `joints`, found poses alone; leave it out")
     board, mount, given = _board(options), Mount(options.mount), load_rig(options.rig) if options.rig else None
     camera = _camera(options, given, stops[0].image)
     with tqdm(unit="picture", desc="board", disable=None) as bar:

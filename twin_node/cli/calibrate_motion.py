@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_log, add_source_options, file_to_write, positive
+from twin_node.cli.arguments import add_log, add_part_options, file_to_write, positive, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 from twin_node.json_text import json_text
@@ -49,7 +49,7 @@ def add_refine(kinds: Any) -> None:
     parser.add_argument("--time", action="store_true", help="afterwards also the clocks, as 'calibrate time' does")
     _add_clock_options(parser)
     add_json(parser)
-    add_source_options(parser)
+    add_part_options(parser)
     parser.set_defaults(run=_refine)
 
 
@@ -62,12 +62,12 @@ def add_time(kinds: Any) -> None:
     )
     _add_clock_options(parser)
     add_json(parser)
-    add_source_options(parser)
+    add_part_options(parser)
     parser.set_defaults(run=_time)
 
 
 def _add_clock_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--max-offset", type=positive, default=0.15, metavar="S", help="largest offset sought, seconds")
+    parser.add_argument("--max-offset", type=positive, metavar="S", help="largest offset sought, seconds (0.15)")
     parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
 
 
@@ -76,6 +76,8 @@ def _refine(options: argparse.Namespace) -> None:
     from twin_node.rig.calibrate.refine import measured_by_depth, refine_rig
     from twin_node.robot import RobotError
 
+    if not options.time:
+        refuse_given(options, ("max_offset", "arm", "width"), "expected with --time, which they are for; leave it out")
     with _session(options) as session:
         rig = session.rig
         stills = _stills(session, options.max_rate or STILLS_RATE_HZ)
@@ -153,7 +155,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     from twin_node.nodes.clock_steps import camera_clock_steps
     from twin_node.nodes.log_source import LogSource
     from twin_node.nodes.synchronizer import SynchronizerParameters
-    from twin_node.rig.calibrate.clocks import calibrate_clocks
+    from twin_node.rig.calibrate.clocks import MAX_OFFSET_S, calibrate_clocks
     from twin_node.rig.evidence import CameraEvidence
 
     images = {camera.image: camera.name for camera in session.cameras}
@@ -164,7 +166,7 @@ def _timed(options: argparse.Namespace, session: LogSession, given: RigFile) -> 
     parameters = SynchronizerParameters(options.width or TIME_WIDTH, options.max_rate)
     source = LogSource(session, parameters, arm.joint_names if arm else (), takes_all=True)
     sets = tqdm(source, unit="set", desc="time", disable=None)
-    result = calibrate_clocks(source.cameras, sets, arm, options.max_offset)
+    result = calibrate_clocks(source.cameras, sets, arm, options.max_offset or MAX_OFFSET_S)
     clocks = tuple(clock.ahead_of(session.clocks.apart.get(clock.name, 0)) for clock in result.cameras)
     lines = [
         f"{clock.name}: add {clock.offset_ns / 1e6:+.2f} ms (+- {clock.sigma_ns / 1e6:.2f} ms){_rate(clock)}"

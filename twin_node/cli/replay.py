@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +13,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import (
     add_log,
     add_source_options,
+    in_the_way,
     port,
     positive,
     refuse_given,
@@ -178,8 +178,8 @@ def _check_report(folder: Path | None, output: Path | None) -> None:
     """Refuses before the run what cannot be written after it; the folder is made only then."""
     if folder is not None and output is not None and folder.resolve() == output.resolve():
         raise TwinError(f"--report {folder}: expected another place than that of -o; give another folder")
-    there = None if folder is None else next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if there is not None and not (there.is_dir() and os.access(there, os.W_OK)):
+    there = None if folder is None else in_the_way(folder)
+    if there is not None:
         raise TwinError(f"--report {folder}: expected a folder, or a place to make one, found {there}; give another")
     if folder is not None:
         from twin_node.nodes.report import FILES
