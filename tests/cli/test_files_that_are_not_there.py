@@ -22,6 +22,7 @@ from twin_node.messages import message_type
         ["calibrate", "import", "qualisys", "{folder}/none.txt", "-o", "{folder}/rig.yaml"],
         ["calibrate", "import", "toml", "{folder}/none.toml", "-o", "{folder}/rig.yaml"],
         ["calibrate", "import", "opencv", "{folder}/none.json", "-o", "{folder}/rig.yaml"],
+        ["calibrate", "import", "opencv", "{folder}/none.xml", "-o", "{folder}/rig.yaml"],
     ],
 )
 def test_what_is_not_there_is_one_line_without_a_number(
@@ -30,7 +31,7 @@ def test_what_is_not_there_is_one_line_without_a_number(
     (tmp_path / "empty").mkdir()
     assert main([one.format(folder=tmp_path) for one in arguments]) == 2
     (line,) = capfd.readouterr().err.splitlines()
-    assert str(tmp_path) in line
+    assert next(one for one in arguments if one.startswith("{folder}")).format(folder=tmp_path) in line
     assert "No such file or directory" in line
     assert "Errno" not in line
 

@@ -46,6 +46,9 @@ def test_boards_as_text(text: str, board: object) -> None:
         ("aprilgrid:30x30:0.02:0.3", "at most 587 markers, as many as DICT_APRILTAG_36h11 has, found 900"),
         ("chessboard:9x6", "expected chessboard:COLUMNSxROWS:SQUARE"),
         ("chessboard:2x5:0.03", "expected at least 3 columns and rows, found chessboard 2x5"),
+        ("aprilgrid:6x6:0.088:-0.3", "expected lengths above 0, found .* gaps of -0.3"),
+        ("aprilgrid:6x6:0.088:0", "expected lengths above 0, found .* gaps of 0"),
+        ("chessboard:9x6:inf", "expected lengths above 0, found .* squares of inf m"),
     ],
 )
 def test_boards_that_no_picture_can_hold_are_refused(text: str, words: str) -> None:
@@ -126,6 +129,16 @@ def test_stamps_in_milliseconds_are_told(tmp_path: Path) -> None:
     video.release()
     (tmp_path / "left.txt").write_text("0\n33\n67\n100\n")
     with pytest.raises(RigError, match=r"left.mp4: expected stamps in seconds, found 33 s"):
+        load_cameras(tmp_path, Chessboard(9, 6, 0.025))
+
+
+@pytest.mark.parametrize(("one", "other"), [("left1", "left_01"), ("left/a_1", "left/b_1")])
+def test_pictures_of_one_camera_that_have_one_number_are_refused(tmp_path: Path, one: str, other: str) -> None:
+    """One of them was lost, in silence."""
+    (tmp_path / "left").mkdir()
+    for name in (one, other):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((48, 64), np.uint8))
+    with pytest.raises(RigError, match=r"png: expected images of one camera with distinct numbers, found that of .*1"):
         load_cameras(tmp_path, Chessboard(9, 6, 0.025))
 
 

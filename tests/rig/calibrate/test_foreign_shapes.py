@@ -59,6 +59,15 @@ def test_camera_info_of_a_driver_that_tells_no_distortion(tmp_path: Path) -> Non
     assert (lens.distortion_model, lens.D.tolist()) == ("plumb_bob", [0.0] * 5)
 
 
+@pytest.mark.parametrize("size", ["image_width: 640.5\nimage_height: 480", "image_width: 640\nimage_height: -480"])
+def test_camera_info_of_a_size_that_no_image_has(tmp_path: Path, size: str) -> None:
+    path = tmp_path / "left.yaml"
+    K = "camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}"
+    path.write_text(f"{size}\n{K}\ndistortion_model: plumb_bob\ndistortion_coefficients: {{data: [0, 0, 0, 0, 0]}}\n")
+    with pytest.raises(RigError, match=r"left\.yaml\.size: expected \[width, height\] in whole pixels"):
+        IMPORTERS["camera_info"](path)
+
+
 def test_images_numbered_alike_in_a_folder_per_camera_are_named_after_both(tmp_path: Path) -> None:
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
     poses = [f"{i} 1 0 0 0 {i} 0 0 1 {name}/0001.png\n\n" for i, name in enumerate(("left", "right"))]

@@ -192,7 +192,7 @@ def checked(where: str, board: Board) -> Board:
         raise RigError(f"{where}: expected markers smaller than squares, found {board}")
     if isinstance(board, CharucoBoard | AprilGrid):
         dictionary_of(board)
-    if not 0 < float(board.points.max()) < np.inf:
+    if not all(0 < length < np.inf for length in vars(board).values() if isinstance(length, float)):
         raise RigError(f"{where}: expected lengths above 0, found {board}")
     if float(board.points.max()) > LARGEST_M:
         raise RigError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.rig.errors import RigError
-from twin_node.rig.rig_checks import check_distortion, check_intrinsics, whole_coefficients
+from twin_node.rig.rig_checks import check_distortion, check_intrinsics, check_size, whole_coefficients
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64
 from twin_node.yaml_file import read_yaml, write_yaml
@@ -48,7 +48,9 @@ def save_camera_info(lens: Lens, path: Path) -> None:
 def load_camera_info(path: Path) -> CameraInfo:
     """The content of a ROS camera calibration file. Raises `RigError` where it is none or a value is wrong."""
     fields = Fields(str(path), read_yaml(path, "a ROS camera calibration file", RigError))
-    width, height = int(fields.number("image_width")), int(fields.number("image_height"))
+    size = np.array([fields.number("image_width"), fields.number("image_height")])
+    check_size(str(path), size)
+    width, height = (int(value) for value in size)
     K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
     D = fields.table("distortion_coefficients").array("data", None)
     model = fields.text("distortion_model") or "plumb_bob"  # drivers leave it empty where nothing is distorted

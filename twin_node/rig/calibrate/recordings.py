@@ -192,17 +192,27 @@ def _stills(folder: Path) -> dict[str, dict[int, Path]]:
     for path in sorted(folder.iterdir()):
         match = re.fullmatch(rf"(.*?)[_-]?({SECONDS}|\d+)", path.stem)
         if path.suffix.lower() in IMAGE_SUFFIXES and match and match.group(1):
-            cameras.setdefault(match.group(1), {})[_number(match.group(2))] = path
+            _add_still(cameras.setdefault(match.group(1), {}), match.group(2), path)
     for directory in inner:
         for path in sorted(directory.iterdir()):
             number = re.search(rf"({SECONDS}|\d+)$", path.stem)
             if path.suffix.lower() in IMAGE_SUFFIXES and number:
-                cameras.setdefault(directory.name, {})[_number(number.group())] = path
+                _add_still(cameras.setdefault(directory.name, {}), number.group(), path)
     numbers = sorted({number for numbered in cameras.values() for number in numbered})
     if not numbers or numbers[-1] <= LARGEST_NUMBER:
         return cameras
     places = {number: place for place, number in enumerate(numbers)}
     return {name: {places[n]: path for n, path in numbered.items()} for name, numbered in cameras.items()}
+
+
+def _add_still(numbered: dict[int, Path], number: str, path: Path) -> None:
+    """Raises `RigError` where another image of the camera has the number: one of them would be lost."""
+    other = numbered.setdefault(_number(number), path)
+    if other != path:
+        raise RigError(
+            f"{path}: expected images of one camera with distinct numbers, found that of {other.name} too; number them "
+            "anew, or put each camera's into a folder of its own"
+        )
 
 
 def _number(text: str) -> int:

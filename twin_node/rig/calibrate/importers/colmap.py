@@ -48,7 +48,7 @@ MODELS = {
 
 def import_colmap(path: Path, unit: float = 1.0) -> RigFile:
     """Every image of a model becomes a camera; `unit`: metres per unit of COLMAP, whose scale is arbitrary."""
-    folder = path if path.is_dir() else path.parent
+    folder = path.parent if path.is_file() else path
     model = read_model(folder)
     lenses = {camera.number: camera for camera in model.cameras}
     cameras, names = [], _names([image.name for image in model.images])

@@ -56,7 +56,10 @@ def _three(fields: Fields, key: str) -> Float64:
 
 def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
     try:
+        path.open("rb").close()
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except OSError as error:
+        raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found: {reason(error)}") from error
     except (cv2.error, SystemError) as error:
         raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found something else") from error
     is_fisheye = storage.getNode("fisheye_model").real() != 0
