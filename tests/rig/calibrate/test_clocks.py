@@ -23,11 +23,11 @@ from twin_node.scene import Camera, FrameSet, RigCamera, View
 SHIFTS = np.arange(-25, 26) * 0.004
 
 
-def costs(offset_s: float, ppm: float = 0.0, noise: float = 0.0, seconds: float = 60.0) -> Costs:
+def costs(offset_s: float, ppm: float = 0.0, noise: float = 0.0, seconds: float = 60.0, seed: int = 0) -> Costs:
     """Parabolas about a clock's true offset, one every 0.1 s."""
     stamps = np.arange(0, int(seconds * 1e9), 100_000_000)
     truth = offset_s + (stamps - stamps.mean()) / 1e9 * ppm * 1e-6
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     truth = truth + rng.normal(0, noise, len(stamps))
     return Costs(stamps, SHIFTS, (SHIFTS - truth[:, None]) ** 2)
 
@@ -47,6 +47,12 @@ def test_the_stated_error_grows_with_the_noise() -> None:
     assert noisy is not None
     assert quiet.sigma_ns < 200_000 < noisy.sigma_ns
     assert abs(noisy.offset_ns - 10_000_000) < 4 * noisy.sigma_ns
+
+
+def test_the_stated_error_is_that_of_a_mean() -> None:
+    """600 parabolas that are off one by one: their sum is lowest at the mean of what they are about."""
+    stated = [shift.sigma_ns for seed in range(20) if (shift := best_shift(costs(0.01, noise=0.02, seed=seed)))]
+    assert np.sqrt(np.mean(np.square(stated, dtype=np.float64))) == pytest.approx(2e7 / np.sqrt(600), rel=0.2)
 
 
 def test_an_offset_beyond_what_was_tried_is_not_told() -> None:
@@ -96,6 +102,11 @@ def test_a_correction_comes_on_top_of_what_is_corrected_already() -> None:
         once = camera.rig_time(stamp)
         twice = once - 5_000_000 + round(40e-6 * (once - clock.reference_ns))
         assert abs(clock.applied(camera).rig_time(stamp) - twice) <= 10
+    ahead_ns = 10 * 10**9  # what was found is of stamps that were taken to be so much earlier
+    for stamp in (10**18, 10**18 + 60 * 10**9):
+        taken = camera.rig_time(stamp) - ahead_ns
+        found = taken - 5_000_000 + round(40e-6 * (taken - clock.reference_ns))
+        assert abs(clock.ahead_of(ahead_ns).applied(camera).rig_time(stamp) - found) <= 10
     still = replace(clock, rate_ppm=4.0).applied(replace(camera, time_rate_ppm=0.0))
     assert still.time_rate_ppm == 0  # a rate within its error is none
 
@@ -113,6 +124,9 @@ def test_a_clock_that_drifts_is_told_as_of_the_recordings_middle() -> None:
     assert clock.rate_ppm == pytest.approx(100)
     assert clock.sigma_ns == pytest.approx(1e9 * np.sqrt(1e-8 + 15**2 * 1e-12), abs=1)
     assert clock.rate_sigma_ppm == pytest.approx(1)
+    together = replace(told, covariance=np.array([[1e-8, 5e-11], [5e-11, 1e-12]]))  # an offset that errs with its rate
+    sigma_s = np.sqrt(1e-8 + 2 * 15 * 5e-11 + 15**2 * 1e-12)
+    assert _by_features(film, 100 * second, together).sigma_ns == pytest.approx(1e9 * sigma_s, abs=1)
 
 
 def test_a_camera_that_sees_no_motion_is_named(recording: tuple[FrameSet, ...]) -> None:
