@@ -9,7 +9,7 @@ import pytest
 
 from twin_node.geometry import project
 from twin_node.scene import Camera, Float64, FrameSet, View
-from twin_node.scene.narrowing import Narrower
+from twin_node.scene.narrowing import Narrower, narrowed_to, widened_to
 
 K = np.array([[40.0, 0.0, 24.0], [0.0, 40.0, 18.0], [0.0, 0.0, 1.0]])
 POINT = np.array([[0.1, -0.05, 1.0]])
@@ -64,3 +64,14 @@ def test_a_cameras_views_keep_one_camera_until_it_is_another() -> None:
     assert first.views[0].camera is again.views[0].camera
     moved = dataclasses.replace(wide, camera=dataclasses.replace(wide.camera, T_base_cam=2 * np.eye(4)))
     assert narrower.view(moved).camera.T_base_cam[0, 0] == 2
+
+
+def test_a_mask_of_one_pixel_is_in_the_narrow_pixel_that_holds_it() -> None:
+    wide = view().camera
+    narrow = Narrower(12).view(view()).camera
+    mask = np.zeros((wide.height, wide.width), np.bool_)
+    mask[13, 30] = True
+    held = narrowed_to(narrow, mask)
+    assert np.argwhere(held).tolist() == [[3, 7]]
+    back = np.argwhere(widened_to(wide, held))
+    assert (back.min(0).tolist(), back.max(0).tolist()) == ([12, 28], [15, 31])

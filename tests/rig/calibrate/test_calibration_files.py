@@ -132,6 +132,17 @@ def test_stamps_in_milliseconds_are_told(tmp_path: Path) -> None:
         load_cameras(tmp_path, Chessboard(9, 6, 0.025))
 
 
+def test_every_third_frame_has_its_own_stamp(tmp_path: Path) -> None:
+    video = cv2.VideoWriter(str(tmp_path / "left.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, (64, 48))
+    for _ in range(7):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    (tmp_path / "left.txt").write_text("\n".join(str(0.1 * i) for i in range(7)))
+    (left,) = load_cameras(tmp_path, Chessboard(9, 6, 0.025), every=3)
+    np.testing.assert_allclose(left.stamps, [0, 3e8, 6e8], atol=1)
+    assert left.images == tuple(f"left.mp4 frame {i}" for i in (0, 3, 6))
+
+
 @pytest.mark.parametrize(("one", "other"), [("left1", "left_01"), ("left/a_1", "left/b_1")])
 def test_pictures_of_one_camera_that_have_one_number_are_refused(tmp_path: Path, one: str, other: str) -> None:
     """One of them was lost, in silence."""
