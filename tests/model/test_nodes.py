@@ -175,6 +175,23 @@ def test_the_past_of_a_row_stays_with_the_node_that_had_it_then() -> None:
     assert between.positions[0, 0].tolist() == pytest.approx([5.0, 5.0, 5.0])
 
 
+def test_who_has_just_taken_a_row_comes_from_nowhere() -> None:
+    nodes = moving_nodes(1.0)
+    newest = 1000 + 6 * TICK_NS
+    assert nodes.poses_before(newest, TICK_NS // 3).positions[0, 0, 0] == pytest.approx(0.198 - 0.011)
+    assert nodes.poses_before(newest + TICK_NS, TICK_NS // 3).positions[0, 0, 0] == pytest.approx(0.198 + 0.022)
+    nodes.retire(torch.tensor([0]))
+    nodes.predict(newest + TICK_NS, 1.0)
+    origin = torch.zeros(3, dtype=torch.float64)
+    turned = quat_from_vector(torch.tensor([0.0, 0.0, 1.2], dtype=torch.float64))
+    assert nodes.give_birth(origin + 5, origin, quat=turned) == 0
+    nodes.remember()
+    for since in (1, TICK_NS // 6, TICK_NS // 2, TICK_NS, 2 * TICK_NS):
+        before = nodes.poses_before(newest + since, TICK_NS // 3)
+        assert before.positions[0, 0].tolist() == pytest.approx([5.0] * 3), since
+        assert before.quats[0, 0].tolist() == pytest.approx(turned.tolist()), since
+
+
 def test_what_is_born_after_a_set_moves_from_there_and_leaves_what_the_set_has_shown() -> None:
     nodes = moving_nodes(1.0)
     nodes.retire(torch.tensor([0]))

@@ -210,6 +210,22 @@ class Nodes:
         quats = quat_product(quat_from_vector(turn * share), self._history_quats[a])
         return Poses(positions[None], quats[None])
 
+    def poses_before(self, stamp: int, ago_ns: int) -> Poses:
+        """Poses, `ago_ns` before `stamp` (ns), of the nodes that `poses_at` tells of at `stamp`.
+
+        Those that were not there yet have not moved: what had their rows then is another's.
+        """
+        now, before = self.poses_at(stamp), self.poses_at(stamp - ago_ns)
+        same = (self._owners_at(stamp) == self._owners_at(stamp - ago_ns))[:, None]
+        return Poses(torch.where(same, before.positions, now.positions), torch.where(same, before.quats, now.quats))
+
+    def _owners_at(self, stamp: int) -> Tensor:
+        """[M] ids of the nodes that `poses_at` tells of."""
+        known = torch.nonzero(self.history_stamps > NEVER)[:, 0]
+        order = known[self.history_stamps[known].argsort()]
+        newer = order[self.history_stamps[order] >= stamp]
+        return self._history_ids[newer[0] if len(newer) else order[-1]]
+
     def extrapolated(self, seconds: list[float]) -> Poses:
         """Poses [T, M, ...] at `stamp` plus each of `seconds`, at constant velocity."""
         return advanced(self.positions, self.quats, self.velocities, self.angular_velocities, seconds)

@@ -78,7 +78,7 @@ VELOCITY_NS = 10_000_000
 def cloud_at(moment: Moment, motion: Motion) -> GaussianCloud:
     """The Gaussians of a moment of the window as a cloud; `nodes` are -1, for no nodes of then are told."""
     population = moment.population
-    before = motion.nodes.poses_at(moment.stamp - VELOCITY_NS)
+    before = motion.nodes.poses_before(moment.stamp, VELOCITY_NS)
     with torch.no_grad():
         splats = motion.place_population(population, moment.poses, [moment.stamp])
         earlier = motion.place_population(population, before, [moment.stamp - VELOCITY_NS])
