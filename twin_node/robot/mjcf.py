@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.geometry import inverse_pose, quat_from_rotation, transform
+from twin_node.geometry import inverse_pose, pose, quat_from_rotation, transform
 from twin_node.robot.arm_file import compiled
 from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
@@ -33,8 +34,9 @@ TOOL = "tool0"
 _CAPSULES_PER_MESH = 2
 _BARE_M = 0.1
 """A link as long as this, m, has a shape."""
-_PLACES, _PLACES_OF_MORE = 5, 3
-"""How often within its range a joint that the arm carries is looked at: of one or two in a chain, and of more."""
+_STEP_RAD, _MOST_PLACES = np.pi / 8, 500
+"""From one place to the next at which a hinge that the arm carries is looked at; larger where all in a chain would make
+more places than so many."""
 _ROUND_POINTS = 24
 """Corners drawn around a cylinder before a capsule is fitted."""
 
@@ -254,9 +256,9 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     owners, ends, radii = [], [], []
     for geom, link in zip(of_arm[counts], carriers[counts], strict=True):
         on = int(bodies[link - 1]) if link else 0
-        local = inverse_pose(frames[link]) @ _places(engine, data, int(geom), on)
+        places = _places(engine, data, int(geom), on, inverse_pose(frames[link]))
         for capsule in _geom_capsules(engine, int(geom)):
-            held = _sweep(capsule, local)
+            held = _sweep(capsule, places)
             owners.append(link)
             ends.append(held.ends)
             radii.append(held.radius)
@@ -267,32 +269,65 @@ def _enclose(engine: Any, data: Any, bodies: NDArray[np.integer], frames: Float6
     return Capsules(np.array(owners, dtype=np.int64), np.array(ends).reshape(-1, 2, 3), np.array(radii))
 
 
-def _places(engine: Any, data: Any, geom: int, on: int) -> Float64:
-    """Poses [P, 4, 4] of a geom: as the data has it, and for all that joints between it and the body `on` may do."""
+@dataclass(frozen=True)
+class _Places:
+    """Where a geom may be on the link that carries it."""
+
+    poses: Float64
+    """[P, 4, 4] in the link's frame: as the file has it, and for all that J joints between the two may do."""
+    anchors: Float64
+    """[P, J, 3] m in the link's frame: where the joints are then, that next to the link first."""
+    steps: Float64
+    """[J] rad from one place to the next; 0 of joints that slide."""
+
+
+def _places(engine: Any, data: Any, geom: int, on: int, T_link_world: Float64) -> _Places:
+    """The places of a geom on the body `on`, whose link is at the inverse of `T_link_world` [4, 4]."""
     chain = [int(engine.geom_bodyid[geom]), *_ancestors(engine, int(engine.geom_bodyid[geom]))]
     between = chain[: chain.index(on)]
     joints = [j for j in range(engine.njnt) if int(engine.jnt_bodyid[j]) in between and engine.jnt_limited[j]]
-    count = _PLACES if len(joints) <= 2 else _PLACES_OF_MORE
-    ranges = [np.linspace(lower, upper, count) for lower, upper in engine.jnt_range[joints]]
+    limits = engine.jnt_range[joints]
+    spans = np.ptp(limits, axis=1) * (engine.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE)
+    counts = _counts(spans)
+    ranges = [np.linspace(lower, upper, count) for (lower, upper), count in zip(limits, counts, strict=True)]
     addresses = engine.jnt_qposadr[joints]
-    posed, poses = mujoco.MjData(engine), []
+    posed, poses, anchors = mujoco.MjData(engine), [], []
     posed.qpos[:] = data.qpos
-    for values in (data.qpos[addresses], *product(*ranges)):
+    for values in (data.qpos[addresses], *product(*ranges)) if joints else (data.qpos[addresses],):
         posed.qpos[addresses] = values
         mujoco.mj_kinematics(engine, posed)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = posed.geom_xmat[geom].reshape(3, 3), posed.geom_xpos[geom]
-        poses.append(pose)
-    return np.stack(poses) if joints else poses[0][None]
+        poses.append(pose(posed.geom_xmat[geom].reshape(3, 3), posed.geom_xpos[geom]))
+        anchors.append(transform(T_link_world, posed.xanchor[joints]))
+    return _Places(T_link_world @ np.stack(poses), np.stack(anchors), spans / (counts - 1))
 
 
-def _sweep(capsule: Capsule, poses: Float64) -> Capsule:
-    """A capsule about one that is at each of some poses [P, 4, 4]."""
-    ends = np.concatenate([transform(pose, capsule.ends) for pose in poses])
-    if len(poses) == 1:
-        return Capsule(ends, capsule.radius)
-    about = fit_capsule(ends)
-    return Capsule(about.ends, about.radius + capsule.radius)
+def _counts(spans: Float64) -> NDArray[np.int64]:
+    """[J] how many places of each joint are looked at, of ranges `spans` [J] rad: two or more, its ends among them."""
+    step = _STEP_RAD
+    while True:
+        counts = np.maximum(np.ceil(spans / step).astype(np.int64), 1) + 1
+        if counts.prod() <= max(_MOST_PLACES, 2 ** len(spans)):
+            return np.asarray(counts, np.int64)
+        step *= 1.2
+
+
+def _sweep(capsule: Capsule, places: _Places) -> Capsule:
+    """A capsule about one wherever it may be: at its places and on the arcs between them.
+
+    An arc stands out beyond the straight line between two places by its sagitta. Nothing gets farther from the first
+    joint than all that is between them is long.
+    """
+    ends = np.stack([transform(place, capsule.ends) for place in places.poses])
+    if len(ends) == 1:
+        return Capsule(ends[0], capsule.radius)
+    legs = np.linalg.norm(np.diff(places.anchors, axis=1), axis=-1).max(0)
+    last = float(np.linalg.norm(ends - places.anchors[:, -1:], axis=-1).max())
+    reaches = np.append(np.cumsum(legs[::-1])[::-1], 0.0) + last
+    sagittas = reaches * (1 - np.cos(np.minimum(places.steps / 2, np.pi)))
+    about = fit_capsule(ends.reshape(-1, 3))
+    grown = Capsule(about.ends, about.radius + capsule.radius + float(sagittas.sum()))
+    ball = Capsule(np.tile(places.anchors[0, 0], (2, 1)), float(reaches[0]) + capsule.radius)
+    return min(grown, ball, key=lambda one: one.volume)
 
 
 def _carrier(engine: Any, links: dict[int, int], body: int) -> int:
