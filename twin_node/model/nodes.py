@@ -189,8 +189,7 @@ class Nodes:
         Before the window they are its oldest. A row that has changed hands between two sets has the newer node's pose,
         one that has done so since the newest set that node's at this set.
         """
-        known = torch.nonzero(self.history_stamps > NEVER)[:, 0]
-        order = known[self.history_stamps[known].argsort()]
+        order = self._sets()
         older, newer = order[self.history_stamps[order] <= stamp], order[self.history_stamps[order] >= stamp]
         if not len(newer):
             ahead, last = self.extrapolated([(stamp - self.stamp) * 1e-9]), order[-1]
@@ -221,10 +220,14 @@ class Nodes:
 
     def _owners_at(self, stamp: int) -> Tensor:
         """[M] ids of the nodes that `poses_at` tells of."""
-        known = torch.nonzero(self.history_stamps > NEVER)[:, 0]
-        order = known[self.history_stamps[known].argsort()]
+        order = self._sets()
         newer = order[self.history_stamps[order] >= stamp]
         return self._history_ids[newer[0] if len(newer) else order[-1]]
+
+    def _sets(self) -> Tensor:
+        """Where in the window's arrays its sets are, oldest first."""
+        known = torch.nonzero(self.history_stamps > NEVER)[:, 0]
+        return known[self.history_stamps[known].argsort()]
 
     def extrapolated(self, seconds: list[float]) -> Poses:
         """Poses [T, M, ...] at `stamp` plus each of `seconds`, at constant velocity."""

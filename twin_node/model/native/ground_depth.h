@@ -64,11 +64,11 @@ class GroundDepth {
     return std::any_of(r_.depth, r_.depth + pixels_, [](float depth) { return depth > 0; });
   }
 
-  // Where what stands in front of the background's surface has come, and the rim of that, whose pixels hardly change.
+  // Where what stands in front of the background's surface has come, and its rim there, whose pixels hardly change.
   Mask come_in_front() const {
     Mask come(pixels_, 0);
     if (r_.measured == nullptr) return come;
-    const float nearer = static_cast<float>(1 - p_.depth_levels), near = static_cast<float>(kNearM);
+    const Before is_before = before();
     const float *measured = r_.measured, *last = r_.measured_last;
     const uint8_t *in_front = in_front_.data();
     uint8_t *out = come.data();
@@ -77,7 +77,7 @@ class GroundDepth {
     for (int64_t at = 0; at < end; at++) {
       // What only comes nearer may be the background itself.
       const float now = measured[at], before = last[at];
-      const uint8_t is_told = (before > 0) & (now > 0), has_come = now < before * nearer - near;
+      const uint8_t is_told = (before > 0) & (now > 0), has_come = is_before(now, before);
       out[at] = in_front[at] & ((is_told ^ 1) | has_come);
     }
     come = dilated(come.data(), r_.width, r_.height, kCross);
@@ -109,6 +109,13 @@ class GroundDepth {
   }
 
  private:
+  // Whether one depth is clearly less than another, both known.
+  struct Before {
+    float share, near;
+    bool operator()(float depth, float other) const { return depth < other * share - near; }
+  };
+  Before before() const { return {static_cast<float>(1 - p_.depth_levels), static_cast<float>(kNearM)}; }
+
   template <class Measured>
   void look(const Measured &is_measured, float rate) {
     const float least = static_cast<float>(p_.telling), lost_ns = static_cast<float>(p_.lost_ns);
@@ -132,16 +139,16 @@ class GroundDepth {
 
   template <class Depth>
   Mask before_ground(const Depth &depth_at) const {
-    Mask before(pixels_);
-    const float nearer = static_cast<float>(1 - p_.depth_levels), near = static_cast<float>(kNearM);
+    Mask standing(pixels_);
+    const Before is_before = before();
     const float *__restrict__ ground = r_.depth;
     const uint8_t *__restrict__ seen = r_.seen;
-    uint8_t *__restrict__ out = before.data();
+    uint8_t *__restrict__ out = standing.data();
     for (int64_t at = 0, end = pixels_; at < end; at++) {
       const float depth = depth_at(at), behind = ground[at];
-      out[at] = seen[at] & (depth > 0) & (behind > 0) & (depth < behind * nearer - near);
+      out[at] = seen[at] & (depth > 0) & (behind > 0) & is_before(depth, behind);
     }
-    return dilated(eroded(before, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
+    return dilated(eroded(standing, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
   }
 
   const MaskRequest &r_;
