@@ -87,17 +87,18 @@ class Population:
         self._bore_at: int | None = None
         """Stamp of the set that was looked through for births last, ns."""
 
-    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering], arm_lost_s: float = 0.0) -> None:
-        """What the images refute goes: what stands often, for what begins to move must board at once; what moves now
-        and then, and so of an arm whose joints nobody has told for `arm_lost_s`."""
+    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
+        """What stands and the images refute goes, often: what begins to move must board at once."""
         if self._judging.is_due(self._nodes.stamp):
             self._judge_static(observed, renderings)
+
+    def bury(self, observed: Sequence[Observed], arm_lost_s: float = 0.0) -> None:
+        """What moves and the images refute goes, now and then, and so of an arm whose joints nobody has told for
+        `arm_lost_s`."""
         if self._burying.is_due(self._nodes.stamp):
             self._judge_moving(observed)
             if arm_lost_s > ARM_LOST_S:
                 self._judge_arm(observed)
-        g = self._gaussians
-        self._house(rows_where(g.alive & g.homeless), adopt_points)
 
     def prune(self, observed: Sequence[Observed], around: Splats) -> None:
         """What moves and has shown in no camera for long goes; `around` may stand before it."""
@@ -110,7 +111,9 @@ class Population:
         self._pruner.look(one[0].view.camera, rows, moving, around)
 
     def bear(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> Born:
-        """Gaussians and nodes for what `renderings` leave unexplained."""
+        """Gaussians and nodes for what `renderings` leave unexplained; first those born without a node may find one."""
+        g = self._gaussians
+        self._house(rows_where(g.alive & g.homeless), adopt_points)
         room, before, self._bore_at = self._room(), self._bore_at, self._nodes.stamp
         periods = 1.0 if before is None else usual_periods((self._nodes.stamp - before) * 1e-9)
         replaced = int(min(periods * TURNOVER, 1.0) * room.most)
