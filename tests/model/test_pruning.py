@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,15 @@ from twin_node.model import unseen
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.plane import Plane
-from twin_node.model.pruning import EVERY_SETS, LEAST_MOVING_PX, MOVING_ROUNDS, ROUNDS, MovingPruner, Pruner
+from twin_node.model.pruning import (
+    EVERY_SETS,
+    LEAST_MOVING_PX,
+    MOVING_EVERY_S,
+    MOVING_ROUNDS,
+    ROUNDS,
+    MovingPruner,
+    Pruner,
+)
 from twin_node.model.rendering import Splats, render
 from twin_node.model.sweep import shell_around
 from twin_node.model.unseen import blend_weights
@@ -147,10 +156,14 @@ def moving(splats: Splats, bodies: torch.Tensor) -> Gaussians:
     return held
 
 
+SETS = itertools.count(0, round(MOVING_EVERY_S * 1e9))
+"""Stamps of sets that are all looked at, ns."""
+
+
 def look_around(watched: MovingPruner, held: Gaussians, rounds: int) -> None:
     """Looks through all cameras so many times, with nothing before what moves."""
-    for _ in range(rounds * len(CAMERAS)):
-        index = watched.due(CAMERAS)
+    for stamp in itertools.islice(SETS, rounds * len(CAMERAS)):
+        index = watched.due(CAMERAS, stamp)
         assert index is not None
         rows = held.moving_rows
         watched.look(CAMERAS[index], rows, held.standing(held.values[rows]), held.standing(held.values[:0]))
@@ -166,6 +179,12 @@ def test_what_lies_under_its_own_body_goes_when_it_has_for_long() -> None:
     assert len(held) == count
     look_around(watched, held, 1)
     assert torch.equal(held.alive[:count], shows)
+
+
+def test_sets_that_come_more_often_are_not_all_looked_at() -> None:
+    watched = MovingPruner(moving(table(), torch.zeros(len(table().scales), dtype=torch.int64)))
+    half = round(MOVING_EVERY_S * 5e8)
+    assert [watched.due(CAMERAS, stamp) is not None for stamp in range(0, 5 * half, half)] == [True, False] * 2 + [True]
 
 
 def test_a_body_that_is_hidden_whole_stays_until_some_of_it_shows() -> None:

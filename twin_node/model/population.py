@@ -102,7 +102,7 @@ class Population:
 
     def prune(self, observed: Sequence[Observed], around: Splats) -> None:
         """What moves and has shown in no camera for long goes; `around` may stand before it."""
-        index = self._pruner.due([one.view.camera for one in observed])
+        index = self._pruner.due([one.view.camera for one in observed], self._nodes.stamp)
         if index is None:
             return
         one, rows, own = observed[index : index + 1], self._gaussians.moving_rows, slice(index, index + 1)

@@ -14,6 +14,7 @@ from torch import Tensor
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.rendering import Splats, join
+from twin_node.model.throttle import Throttle
 from twin_node.model.unseen import Unseen, blend_weights
 from twin_node.scene import Camera
 
@@ -26,9 +27,11 @@ ROUNDS = 2
 """Rounds in a row in which a Gaussian that stands does not show before it goes."""
 LEAST_MOVING_PX = 0.3
 """The same of what moves: newborns bury each other until two in five show less."""
-MOVING_ROUNDS = 6
-"""Rounds of what moves, with a look in every set: 0.6 s at 30 Hz and three cameras. In a third of that what is hidden
-for a moment goes too, and images miss it by 0.3 dB."""
+MOVING_EVERY_S = 0.06
+"""Time between two looks at what moves, s."""
+MOVING_ROUNDS = 3
+"""Rounds of what moves: 0.6 s with three cameras. In a third of that what is hidden for a moment goes too, and images
+miss it by 0.3 dB; looks in every set of 30 Hz, and six rounds, are no better."""
 
 
 class Pruner:
@@ -61,16 +64,18 @@ class Pruner:
 
 
 class MovingPruner:
-    """Watches the Gaussians that move, and looks in every set; bodies that are hidden whole are left as they are."""
+    """Watches the Gaussians that move; bodies that are hidden whole are left as they are."""
 
     def __init__(self, gaussians: Gaussians) -> None:
         self._gaussians = gaussians
+        self._looking = Throttle(MOVING_EVERY_S)
         self._unseen = Unseen(gaussians, LEAST_MOVING_PX, MOVING_ROUNDS)
 
-    def due(self, cameras: Sequence[Camera]) -> int | None:
-        """Takes in that the cameras of a set are `cameras`; which of them to look through, None: through none."""
+    def due(self, cameras: Sequence[Camera], stamp: int) -> int | None:
+        """Takes in that the cameras of the set at `stamp` (ns) are `cameras`; which of them to look through now, None:
+        through none."""
         self._unseen.know(cameras)
-        return self._unseen.due(cameras)
+        return self._unseen.due(cameras) if self._looking.is_due(stamp) else None
 
     def look(self, camera: Camera, rows: Tensor, moving: Splats, around: Splats) -> None:
         """Looks through `camera` at all `rows` [n] that move, drawn as `moving` [n]; `around` can stand before them."""
