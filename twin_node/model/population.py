@@ -87,14 +87,11 @@ class Population:
         self._bore_at: int | None = None
         """Stamp of the set that was looked through for births last, ns."""
 
-    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering]) -> None:
-        """What stands and the images refute goes, often: what begins to move must board at once."""
+    def judge(self, observed: Sequence[Observed], renderings: Sequence[Rendering], arm_lost_s: float = 0.0) -> None:
+        """What the images refute goes: what stands often, for what begins to move must board at once; what moves now
+        and then, and so of an arm whose joints nobody has told for `arm_lost_s`."""
         if self._judging.is_due(self._nodes.stamp):
             self._judge_static(observed, renderings)
-
-    def bury(self, observed: Sequence[Observed], arm_lost_s: float = 0.0) -> None:
-        """What moves and the images refute goes, now and then, and so of an arm whose joints nobody has told for
-        `arm_lost_s`."""
         if self._burying.is_due(self._nodes.stamp):
             self._judge_moving(observed)
             if arm_lost_s > ARM_LOST_S:

@@ -147,7 +147,8 @@ class Tracker:
         self._decisions += self._aligner.take_decisions()
         on_stage("align")
         self._decisions += self._resting.wake(observed, aligned.renderings)
-        self._population.judge(observed, aligned.renderings)
+        arm_lost_s = 0.0 if self._links is None else self._links.unknown_s
+        self._population.judge(observed, aligned.renderings, arm_lost_s)
         around = self._around(observed, aligned)
         self._aligner.catch_up(observed, around, dt_s, self._step_budget)
         on_stage("judge")
@@ -218,7 +219,6 @@ class Tracker:
             self._decisions += self._resting.settle(self._bodies.resting, self._bodies.decided_s)
 
     def _bear(self, due: _Due) -> None:
-        self._population.bury(due.seen.observed, 0.0 if self._links is None else self._links.unknown_s)
         born = self._population.bear(due.seen.observed, due.renderings)
         self._born = born.gaussians
         self._decisions += born.woken
