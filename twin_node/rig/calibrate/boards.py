@@ -133,8 +133,8 @@ class CircleGrid:
 
     @property
     def turns(self) -> int:
-        """A symmetric grid looks the same after half a turn, as does an asymmetric one of odd rows."""
-        return 1 if self.asymmetric and self.rows % 2 == 0 else 2
+        """A symmetric grid looks the same after half a turn, as does an asymmetric one of even rows."""
+        return 1 if self.asymmetric and self.rows % 2 else 2
 
     def detect(self, grey: UInt8) -> Corners | None:
         """All centres, or None."""

@@ -151,7 +151,8 @@ def _check(board: Board, cameras: Sequence[CameraRecording]) -> None:
     if board.turns > 1:
         raise RigError(
             f"{board}: expected a board that looks different when turned by 180 degrees, so that all cameras agree on "
-            "its corners; use ChArUco, an AprilGrid or a chessboard with an even and an odd number of inner corners"
+            "its corners; use ChArUco, an AprilGrid, a chessboard with an even and an odd number of inner corners, or "
+            "asymmetric circles of an odd number of rows"
         )
 
 
