@@ -171,9 +171,12 @@ def check_facing(where: str, names: tuple[str, ...], poses: Float) -> None:
 
 
 def aims_off(poses: Float) -> float:
-    """Largest angle (rad) between an optical axis of poses [N, 4, 4] and the way to the point nearest to all axes."""
+    """Largest angle (rad) between an optical axis of poses [N, 4, 4] and the way to the point nearest to all axes.
+
+    Of a camera that stands at that point itself: a right angle.
+    """
     to_focus = axes_focus(poses) - poses[:, :3, 3]
-    cosines = (to_focus * poses[:, :3, 2]).sum(1) / np.linalg.norm(to_focus, axis=1)
+    cosines = (to_focus * poses[:, :3, 2]).sum(1) / np.maximum(np.linalg.norm(to_focus, axis=1), 1e-12)
     return float(np.arccos(np.clip(cosines, -1, 1)).max())
 
 

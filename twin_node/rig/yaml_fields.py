@@ -45,6 +45,11 @@ class Fields:
         """Whether the field holds a mapping."""
         return isinstance(self._data.get(key), dict)
 
+    def is_nested(self, key: str) -> bool:
+        """Whether the field holds a list of lists."""
+        value = self._data.get(key)
+        return isinstance(value, list) and any(isinstance(one, list) for one in value)
+
     def table(self, key: str) -> Fields:
         """A field that holds a mapping."""
         return Fields(f"{self.where}.{key}", self._required(key))

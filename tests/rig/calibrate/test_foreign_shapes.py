@@ -13,7 +13,7 @@ from simulated_boards import a_lens
 from twin_node.rig import RigError
 from twin_node.rig.calibrate.camera_info import load_camera_info, save_camera_info
 from twin_node.rig.calibrate.importers import IMPORTERS
-from twin_node.rig.rig_checks import whole_coefficients
+from twin_node.rig.rig_checks import aims_off, whole_coefficients
 
 K = [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]
 EIGHT = [0.3, 0.1, 0.001, 0.001, 0.01, 0.5, 0.1, 0.02]
@@ -102,6 +102,7 @@ def test_sizes_and_vectors_are_read_as_opencv_writes_them(tmp_path: Path) -> Non
         ({"M1": "5"}, r"stereo\.yml: expected 3x3 finite numbers as 'M1', found one number"),
         ({"M1": "[1, 2, 3]"}, r"stereo\.yml: expected 3x3 finite numbers as 'M1', found 3"),
         ({"size": "[wide, high]"}, r"stereo\.yml: expected 2 finite numbers as 'size', found something else"),
+        ({"size": "[640.5, 480]"}, r"left\.size: expected \[width, height\] in whole pixels"),
         ({"size": "[-5, 480]"}, r"left\.size: expected \[width, height\] in whole pixels, up to 32767, found \[-5"),
         ({"D2": "[.Nan, 0., 0., 0.]"}, r"stereo\.yml: expected finite numbers as 'D2', found \[nan, "),
     ],
@@ -122,6 +123,8 @@ def test_what_no_calibration_of_opencv_holds_is_named(tmp_path: Path, replaced: 
             "1 1 0 0 0 0 0 1 1 a.png\n2 1 0 0 0 1 0 1 1 b.png\n",
             r"a\.png: expected a line of points below it, empty where there are none, found '2 1 0 0 0 1 0 1 1 b\.png'",
         ),
+        ("1 PINHOLE 640 480 500 500 320 240", "1 1 0 0 0 0 0 1 1 a.png\n\n2 1 0 0 0", "and a name, found '2 1 0 0 0'"),
+        ("1 PINHOLE 640.5 480 500 500 320 240", "1 1 0 0 0 0 0 1 1 a.png\n", r"a\.png\.size: expected .* whole pixels"),
     ],
 )
 def test_what_no_colmap_model_holds_is_named(tmp_path: Path, cameras: str, images: str, told: str) -> None:
@@ -140,3 +143,50 @@ def test_numbers_of_qualisys_that_are_none_are_named(tmp_path: Path) -> None:
     )
     with pytest.raises(RigError, match=r"expected a number in fov_video\.right, found 'nan'"):
         IMPORTERS["qualisys"](path)
+
+
+TABLE = (
+    f"[cam_0]\nsize = [640, 480]\nmatrix = {K}\ndistortions = [0.1]\nrotation = [0, 0, 0]\ntranslation = [0, 0, 1]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "told"),
+    [
+        ("640, 480", "640.5, 480", r"cam_0\.size: expected \[width, height\] in whole pixels"),
+        ("rotation = [0, 0, 0]", "rotation = [nan, 0, 0]", r"cam_0\.rotation: expected finite numbers"),
+        ("rotation = [0, 0, 0]", "rotation = [[1, 0], [0, 1]]", r"cam_0\.rotation: expected 3x3 numbers, found 2x2"),
+    ],
+)
+def test_what_no_table_of_toml_holds_is_named(tmp_path: Path, right: str, wrong: str, told: str) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(TABLE.replace(right, wrong))
+    with pytest.raises(RigError, match=told):
+        IMPORTERS["toml"](path)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"cam1": None}, r"camchain\.yaml: expected cam1 before cam2, found none"),
+        ({"timeshift_cam_imu": 1e300}, r"cam0\.timeshift_cam_imu: expected seconds, found 1e\+300"),
+        ({"resolution": [640.5, 480]}, r"cam0\.size: expected \[width, height\] in whole pixels"),
+    ],
+)
+def test_what_no_chain_of_kalibr_holds_is_named(tmp_path: Path, change: dict[str, object], told: str) -> None:
+    """Cameras behind a gap were left out in silence; a shift without end was a traceback."""
+    camera = {"camera_model": "pinhole", "distortion_model": "none", "intrinsics": [500, 500, 320, 240]}
+    camera |= {"resolution": [640, 480], "T_cn_cnm1": np.eye(4).tolist()}
+    chain = {f"cam{i}": {**camera, **(change if i == 0 else {})} for i in range(3)}
+    path = tmp_path / "camchain.yaml"
+    path.write_text(yaml.safe_dump({key: one for key, one in chain.items() if key not in change}))
+    with pytest.raises(RigError, match=told):
+        IMPORTERS["kalibr"](path)
+
+
+def test_cameras_at_one_place_are_read_without_a_warning() -> None:
+    """As of tools that tell turns alone: the way to the point nearest to their axes has no length."""
+    poses = np.stack([np.eye(4), np.eye(4)])
+    poses[1, :3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    with np.errstate(all="raise"):
+        assert aims_off(poses) == pytest.approx(np.pi / 2)

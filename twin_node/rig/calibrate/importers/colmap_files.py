@@ -42,7 +42,7 @@ class ColmapCamera:
     """File and number, for error lines."""
     number: int
     model: str
-    size: tuple[int, int]
+    size: tuple[float, float]
     parameters: Float64
 
 
@@ -85,7 +85,7 @@ def _text_cameras(path: Path) -> tuple[ColmapCamera, ...]:
         numbers = _numbers(where, [line[0], *line[2:]])
         if len(numbers) < 4:
             raise RigError(f"{where}: expected a model, a width, a height and parameters, found {' '.join(line)}")
-        size = (int(numbers[1]), int(numbers[2]))
+        size = (float(numbers[1]), float(numbers[2]))
         cameras.append(ColmapCamera(where, int(numbers[0]), line[1], size, numbers[3:]))
     return tuple(cameras)
 
@@ -94,8 +94,13 @@ def _text_images(path: Path) -> tuple[ColmapImage, ...]:
     """Every second line lists the points of the image above it, three numbers each. Raises `RigError` for others."""
     lines, images = _lines(path), []
     for line, points in zip(lines[::2], [*lines[1::2], []], strict=False):
-        if len(line) < 10:
+        if not line:
             continue
+        if len(line) < 10:
+            raise RigError(
+                f"{path}: expected lines of a number, a quaternion, a translation, a camera and a name, found "
+                f"{' '.join(line)[:MOST_SIGNS]!r}; export the model again"
+            )
         where = f"{path}: {line[9]}"
         if len(points) % 3:
             raise RigError(

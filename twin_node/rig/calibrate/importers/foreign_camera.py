@@ -31,18 +31,22 @@ def from_world_to_camera(R: Float64, t: Float64) -> Float64:
 
 
 def foreign_camera(
-    where: str, name: str, size: tuple[int, int], K: Float64, T_base_cam: Float64, model: str, D: Float64
+    where: str, name: str, size: Sequence[float], K: Float64, T_base_cam: Float64, model: str, D: Float64
 ) -> RigCamera:
-    """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has."""
+    """A camera of a rig; its name is made fit for topics. Raises `RigError` for values that no camera has.
+
+    `size`: width and height as the file has them, in pixels.
+    """
     D = whole_coefficients(model, D)
     check_size(where, np.array(size, dtype=np.float64))
     for what, values in (("K", K), ("distortion", D), ("pose", T_base_cam)):
         if not np.isfinite(values).all():
             raise RigError(f"{where}: expected finite numbers, found {what} {values.tolist()}; calibrate it again")
-    check_intrinsics(where, K, size)
+    width, height = int(size[0]), int(size[1])
+    check_intrinsics(where, K, (width, height))
     check_distortion(where, model, D)
     check_pose(where, T_base_cam)
-    return RigCamera(as_camera_name(name), *size, K, T_base_cam, model, D)
+    return RigCamera(as_camera_name(name), width, height, K, T_base_cam, model, D)
 
 
 def foreign_rig(where: str, cameras: Sequence[RigCamera], frame: str, notes: str) -> RigFile:

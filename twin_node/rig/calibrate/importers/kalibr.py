@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
+from twin_node.rig.stamps import LATEST_S
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64, RigCamera
 from twin_node.yaml_file import read_yaml
@@ -20,7 +22,8 @@ MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bo
 
 def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
     """A rig in the optical frame of cam0. Raises `RigError` for models other than pinhole-radtan and pinhole-equi."""
-    chain = Fields(str(path), read_yaml(path, "a camchain of Kalibr (YAML)", RigError))
+    data = read_yaml(path, "a camchain of Kalibr (YAML)", RigError)
+    chain = Fields(str(path), data)
     cameras: list[RigCamera] = []
     T_rig_cam = np.eye(4)
     while chain.has(f"cam{len(cameras)}"):
@@ -31,8 +34,18 @@ def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
             T_rig_cam = T_rig_cam @ inverse_pose(T_next_last)
         camera = _camera(fields, f"cam{len(cameras)}", T_rig_cam)
         offset = fields.number("timeshift_cam_imu", 0.0)
+        if abs(offset) > LATEST_S:
+            raise RigError(f"{fields.where}.timeshift_cam_imu: expected seconds, found {offset:g}; no clock is there")
         cameras.append(replace(camera, time_offset_ns=round(offset * 1e9)))
+    _check_all_read(path, data, len(cameras))
     return foreign_rig(str(path), cameras, "cam0_optical_frame", "From Kalibr; poses in the optical frame of cam0.")
+
+
+def _check_all_read(path: Path, data: object, count: int) -> None:
+    """Raises `RigError` for a camera that no other leads to."""
+    for key in data if isinstance(data, dict) else ():
+        if re.fullmatch(r"cam\d+", str(key)) and key not in (f"cam{i}" for i in range(count)):
+            raise RigError(f"{path}: expected cam{count} before {key}, found none; a chain leaves out no camera")
 
 
 def _camera(fields: Fields, name: str, T_rig_cam: Float64) -> RigCamera:
@@ -42,7 +55,6 @@ def _camera(fields: Fields, name: str, T_rig_cam: Float64) -> RigCamera:
             f"{fields.where}: expected pinhole with {', '.join(MODELS)}, found {model} with {lens}; calibrate with "
             "pinhole-radtan or pinhole-equi"
         )
-    width, height = fields.array("resolution", (2,)).astype(int).tolist()
     K = pinhole(*fields.array("intrinsics", (4,)).tolist())
     D = np.zeros(0) if lens == "none" else fields.array("distortion_coeffs", (4,))
-    return foreign_camera(fields.where, name, (width, height), K, T_rig_cam, MODELS[lens], D)
+    return foreign_camera(fields.where, name, fields.array("resolution", (2,)).tolist(), K, T_rig_cam, MODELS[lens], D)

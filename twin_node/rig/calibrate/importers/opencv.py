@@ -38,13 +38,11 @@ def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
         raise RigError(f"{path}: expected cameras in JSON, found: {reason(error)}") from error
     cameras = []
     for fields in Fields(str(path), data).entries("cameras"):
-        width, height = fields.array("size", (2,)).astype(int).tolist()
+        size = fields.array("size", (2,)).tolist()
         D = fields.list_of("dist")
         model = _model(D, fields.flag("fisheye"))
         T = from_world_to_camera(fields.array("R", (3, 3)), _three(fields, "t") * unit)
-        cameras.append(
-            foreign_camera(fields.where, fields.text("name"), (width, height), fields.array("K", (3, 3)), T, model, D)
-        )
+        cameras.append(foreign_camera(fields.where, fields.text("name"), size, fields.array("K", (3, 3)), T, model, D))
     return cameras
 
 
@@ -64,15 +62,15 @@ def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
         raise RigError(f"{path}: expected a FileStorage of OpenCV (YAML or XML), found something else") from error
     is_fisheye = storage.getNode("fisheye_model").real() != 0
     if storage.getNode("M1").empty():
-        width, height = (int(_numbers(path, storage, f"image_{side}", ())) for side in ("width", "height"))
+        size = [float(_numbers(path, storage, f"image_{side}", ())) for side in ("width", "height")]
         K, D = _numbers(path, storage, "camera_matrix", (3, 3)), _numbers(path, storage, "distortion_coefficients")
-        return [foreign_camera(str(path), path.stem, (width, height), K, np.eye(4), _model(D, is_fisheye), D)]
-    width, height = _numbers(path, storage, "size", (2,)).astype(int).tolist()
+        return [foreign_camera(str(path), path.stem, size, K, np.eye(4), _model(D, is_fisheye), D)]
+    size = _numbers(path, storage, "size", (2,)).tolist()
     T = from_world_to_camera(_numbers(path, storage, "R", (3, 3)), _numbers(path, storage, "T", (3,)) * unit)
     cameras = []
     for name, number, pose in (("left", 1, np.eye(4)), ("right", 2, T)):
         K, D = _numbers(path, storage, f"M{number}", (3, 3)), _numbers(path, storage, f"D{number}")
-        cameras.append(foreign_camera(f"{path}: {name}", name, (width, height), K, pose, _model(D, is_fisheye), D))
+        cameras.append(foreign_camera(f"{path}: {name}", name, size, K, pose, _model(D, is_fisheye), D))
     return cameras
 
 

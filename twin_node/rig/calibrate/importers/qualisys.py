@@ -41,7 +41,7 @@ def _camera(path: Path, element: ElementTree.Element, unit: float) -> RigCamera:
     transform, intrinsic = _child(where, element, "transform"), _child(where, element, "intrinsic")
     video = _child(where, element, "fov_video")
     left, top = _number(where, video, "left"), _number(where, video, "top")
-    size = (int(_number(where, video, "right") - left + 1), int(_number(where, video, "bottom") - top + 1))
+    size = (_number(where, video, "right") - left + 1, _number(where, video, "bottom") - top + 1)
     fu, fv = (_number(where, intrinsic, f"focalLength{axis}") / SUBPIXELS for axis in "UV")
     cu, cv = (_number(where, intrinsic, f"centerPoint{axis}") / SUBPIXELS for axis in "UV")
     D = np.array([_number(where, intrinsic, key) for key in _DISTORTION]) / SUBPIXELS

@@ -36,14 +36,13 @@ def _table(value: object) -> dict[str, object]:
 
 
 def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
-    width, height = fields.array("size", (2,)).astype(int).tolist()
     translation = fields.array("translation", (3,)) * unit
     fisheye = fields.flag("fisheye")
     D = fields.array("distortions", None)
     return foreign_camera(
         fields.where,
         fields.text("name", key),
-        (width, height),
+        fields.array("size", (2,)).tolist(),
         fields.array("matrix", (3, 3)),
         from_world_to_camera(_rotation(fields), translation),
         "equidistant" if fisheye else "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial",
@@ -53,8 +52,6 @@ def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
 
 def _rotation(fields: Fields) -> Float64:
     """[3, 3] of a Rodrigues vector or a matrix."""
-    try:
-        vector = fields.array("rotation", (3,))
-    except RigError:
+    if fields.is_nested("rotation"):
         return fields.array("rotation", (3, 3))
-    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+    return np.asarray(cv2.Rodrigues(fields.array("rotation", (3,)))[0], np.float64)
