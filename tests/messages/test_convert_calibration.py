@@ -69,11 +69,12 @@ def test_rectified_images_were_seen_by_p_without_distortion() -> None:
 
 
 @pytest.mark.parametrize("is_rectified", [True, False])
-def test_a_stereo_pair_is_where_its_calibration_has_it(is_rectified: bool) -> None:
+@pytest.mark.parametrize("move", [[-0.12, 0.004, -0.003], [0.004, -0.12, -0.003]])
+def test_a_stereo_pair_is_where_its_calibration_has_it(move: list[float], is_rectified: bool) -> None:
     """Both name one frame, that of the first one's rectified images; OpenCV says how these lie to the raw ones."""
     K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-    turn, move = rotation_from_quat(np.array([1.0, 0.02, -0.03, 0.01])), np.array([-0.12, 0.004, -0.003])
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(K, np.zeros(5), K, np.zeros(5), (320, 240), turn, move)
+    turn = rotation_from_quat(np.array([1.0, 0.02, -0.03, 0.01]))
+    R1, R2, P1, P2, *_ = cv2.stereoRectify(K, np.zeros(5), K, np.zeros(5), (320, 240), turn, np.array(move))
     T_base_frame = camera().T_base_cam
     infos = []
     for R, P in ((R1, P1), (R2, P2)):

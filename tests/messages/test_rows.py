@@ -102,3 +102,12 @@ def test_bytes_of_another_length_than_the_rows_take_are_no_rows(more: int) -> No
     assert packed is not None
     assert codec().unpack(packed) is not None
     assert codec().unpack(memoryview((bytes(packed) + bytes(200))[: len(packed) + more])) is None
+
+
+def test_a_frame_longer_than_all_the_bytes_is_none() -> None:
+    packed = codec().pack(some(3, 1))
+    assert packed is not None
+    for length in range(len(packed) - 24, len(packed) + 16):
+        damaged = bytearray(packed)
+        damaged[12:16] = length.to_bytes(4, "little")
+        assert codec().unpack(memoryview(damaged)) is None

@@ -16,7 +16,7 @@ from twin_node.model.exposure import Exposures, fit_exposure, levelled
 from twin_node.model.kernels import kernels
 from twin_node.model.parameters import SeedParameters
 from twin_node.model.quality import psnr, squared_error
-from twin_node.model.remembered import Remembered
+from twin_node.model.remembered import SATURATED, Remembered
 from twin_node.model.seeding import find_plane, find_surfaces
 from twin_node.scene import PLAIN, Exposure, Float32, FrameSet, View
 
@@ -210,3 +210,27 @@ def test_light_that_goes_out_and_on_changes_neither_the_models_colours_nor_its_s
     assert abs(len(dark.gaussians.ids) - len(state.gaussians.ids)) < 0.02 * len(state.gaussians.ids)
     assert dark.exposure_of("cam1").brightness == pytest.approx(0.4, abs=0.01)
     assert dark.exposure_of("another") is PLAIN
+
+
+def test_light_that_the_usual_exposure_explains_as_well_is_the_usual_one() -> None:
+    shown = np.random.default_rng(0).uniform(0.1, 0.9, (800, 3)).astype(np.float32)
+    assert fit_exposure(shown, shown.copy(), PLAIN) is PLAIN
+
+
+def test_of_what_is_too_bright_only_what_stands_keeps_its_colour_and_what_was_invalid_stays_so() -> None:
+    exposures, still = Exposures(), frames(0, None, rig(), depth=True)
+    valid = np.ones(still.views[0].rgb.shape[:2], bool)
+    valid[:, :8] = False
+    still = replace(still, views=tuple(replace(view, valid=valid) for view in still.views))
+    exposures.begin(still, (PLAIN,) * 3)
+    moving = np.zeros_like(valid)
+    moving[:, 48:] = True
+    exposures.heed(still, (moving,) * 3)
+    bright = under(still, 3.0, 3.0, 3.0)
+    for view, lit, even in zip(still.views, bright.views, exposures.level(bright, NOBODY).frames.views, strict=True):
+        burnt = lit.rgb.max(-1) >= SATURATED
+        assert (burnt & moving).any() and view.depth is not None
+        assert even.valid is not None
+        np.testing.assert_array_equal(even.valid, valid & ~(burnt & (view.depth <= 0)))
+        assert view.rgb[burnt & moving].max() > 150
+        assert even.rgb[burnt & moving].max() <= 110, "about a third of what is too bright: the least that it can be"

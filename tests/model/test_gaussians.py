@@ -187,3 +187,14 @@ def test_a_row_named_twice_is_refused() -> None:
     store = Gaussians(4, torch.device("cpu"))
     with pytest.raises(ValueError, match="found 1 twice"):
         store.descent(torch.tensor([0, 2, 0]))
+
+
+def test_what_boards_is_no_longer_doubted() -> None:
+    """What a node carries is elsewhere: what refuted it where it was says nothing more."""
+    store, nodes, place = Gaussians(2, torch.device("cpu")), Nodes(1, 2), torch.zeros(3, dtype=torch.float64)
+    rows, refuted = store.spawn(newborns(2), 0), torch.ones(2, dtype=torch.bool)
+    store.doubt(rows, refuted, 3)
+    node = nodes.give_birth(place, place)
+    store.board(rows[:1], torch.tensor([node]), nodes)
+    store.doubt(rows, refuted, 3)
+    assert store.doubt(rows, refuted, 3).tolist() == [False, True]

@@ -279,3 +279,10 @@ def test_whose_motion_is_learned_is_asked_anew_when_tiers_or_lives_change() -> N
     assert nodes.learned_rows.tolist() == rows[1:]
     nodes.retire(torch.tensor(rows[1:2]))
     assert nodes.learned_rows.tolist() == rows[2:]
+
+
+def test_a_measured_pose_is_taken_for_nearly_all_of_it_and_a_velocity_for_some() -> None:
+    nodes, shift = moving_nodes(0.0), torch.tensor([[0.1, 0.0, 0.0]], dtype=torch.float64)
+    nodes.correct(torch.tensor([0]), shift, torch.zeros_like(shift), 0.05)
+    assert nodes.positions[0].tolist() == pytest.approx([0.09, 0.0, 0.0])
+    assert nodes.velocities[0].tolist() == pytest.approx([0.35 * 0.1 / 0.05, 0.0, 0.0])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 
 from twin_node.model import ModelError
-from twin_node.model.ply import SH_C0, StoredGaussians, read_ply, stored_from_cloud, write_ply
+from twin_node.model.ply import SH_C0, StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
 from twin_node.scene import GaussianCloud
 
 
@@ -183,3 +183,10 @@ def test_damaged_headers_never_escape_as_other_errors(tmp_path: Path, data: st.D
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be written"):
         write_ply(stored(1, 0), tmp_path / "missing" / "cloud.ply")
+
+
+def test_quaternions_of_no_length_stay_so_and_others_have_length_1() -> None:
+    gaussians = stored(2, 0)
+    gaussians.quats[0] = 0
+    quats = cloud_from_stored(gaussians).quats
+    np.testing.assert_allclose(np.linalg.norm(quats, axis=1), [0, 1], atol=1e-6)
