@@ -148,3 +148,27 @@ def test_what_looks_at_nothing_near_implies_no_workspace(
     raised = [replace(c, T_base_cam=pose(np.eye(3), np.array([0, 0, raised_m])) @ c.T_base_cam) for c in chosen]
     with pytest.raises(RigError, match=rf"{found}; give a rig file \(--rig RIG.yaml\) with `workspace"):
         workspace_of(FrameAssembler(raised, width=160).cameras)
+
+
+def test_the_middle_of_what_two_parallel_cameras_look_at_is_the_middle_of_the_workspace() -> None:
+    down = np.diag([1.0, -1.0, -1.0])
+    pair = [replace(CAMERAS[0], name=f"cam{x}", T_base_cam=pose(down, np.array([x, 0.3, 2.0]))) for x in (0.2, 0.6)]
+    lower, upper = workspace_of(FrameAssembler(pair, width=160).cameras)
+    np.testing.assert_allclose((lower + upper)[:2] / 2, [0.4, 0.3], atol=0.05)
+    assert 0.3 < upper[0] - lower[0] < 2.2
+
+
+def test_one_that_looks_up_beside_one_that_looks_down_implies_no_workspace() -> None:
+    """Their axes are parallel: where they would meet is nowhere."""
+    down, up = np.diag([1.0, -1.0, -1.0]), np.eye(3)
+    pair = [
+        replace(CAMERAS[0], name=f"cam{i}", T_base_cam=pose(R, np.array([i, 0, 2]))) for i, R in ((0, down), (1, up))
+    ]
+    with pytest.raises(RigError, match="found parallel ones"):
+        workspace_of(FrameAssembler(pair, width=160).cameras)
+
+
+def test_cameras_that_turn_their_backs_to_each_other_see_no_volume() -> None:
+    apart = [camera("left", (0.0, 1.0, 1.0), (0.4, 3.0, 1.0)), camera("right", (0.0, -1.0, 1.0), (0.4, -3.0, 1.0))]
+    with pytest.raises(RigError, match="expected a volume that most of them see, found none"):
+        workspace_of(FrameAssembler(apart, width=160).cameras)

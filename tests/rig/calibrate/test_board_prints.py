@@ -10,7 +10,7 @@ import pytest
 
 from twin_node.cli import main
 from twin_node.rig import RigError
-from twin_node.rig.calibrate.board_prints import DPI, INCH_M, print_board
+from twin_node.rig.calibrate.board_prints import DPI, INCH_M, draw_board, print_board
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
 
 BOARDS: list[Board] = [
@@ -62,3 +62,26 @@ def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="at most 50 markers"):
         print_board(CharucoBoard(12, 12, 0.02, 0.015), tmp_path / "board.pdf")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("board", "paper"),
+    [
+        (Chessboard(5, 4, 0.02), "A4"),
+        (Chessboard(9, 9, 0.02), "A3"),
+        (Chessboard(3, 29, 0.02), "A1"),
+        (Chessboard(29, 3, 0.02), "A1"),
+        (Chessboard(15, 15, 0.022), "A2"),
+        (Chessboard(15, 15, 0.042), "A0"),
+        (Chessboard(30, 30, 0.05), "larger than A0: let it be printed on a panel"),
+    ],
+    ids=str,
+)
+def test_the_paper_is_the_smallest_that_both_sides_fit_on(board: Board, paper: str) -> None:
+    assert draw_board(board).paper == paper
+
+
+def test_a_small_boards_page_has_room_for_the_bar_that_is_to_be_measured() -> None:
+    width, height = draw_board(Chessboard(3, 3, 0.005)).page_m
+    assert width == pytest.approx(0.1 + 2 * 0.014)
+    assert height == pytest.approx(0.02 + 2 * 0.005 + 0.014)
