@@ -36,6 +36,8 @@ class Range:
 POSITIVE = Range(above=True)
 NOT_NEGATIVE = Range()
 SHARE = Range(0, 1)
+PORTS = Range(1, 65535)
+"""Of TCP and UDP, where one is meant."""
 WIDTHS_PX = Range(16, 16_384)
 """Of working images, px: below nothing is seen, and no camera has more."""
 

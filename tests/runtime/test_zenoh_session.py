@@ -50,3 +50,18 @@ def test_one_on_loopback_listens_where_it_is_told_alone(usual: ZenohParameters, 
     assert router is not None
     with contextlib.closing(router), pytest.raises(WireError, match="expected a zenoh router there"):
         open_client(usual)
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp/10.0.0.2", "tcp/twin:", "tcp/:7447", "tls/twin:99999", "tcp/fd00::2:7447", "tcp/[fd00::2]"]
+)
+def test_an_address_without_a_port_is_refused(address: str) -> None:
+    """zenoh takes it and tries it for ever: a launch said that it was active, and reached nobody."""
+    for given in ({"endpoint": address}, {"routers": ("", address)}):
+        with pytest.raises(WireError, match=r"expected a host and a port \(1 to 65535\).*; correct the address"):
+            ZenohParameters(**given)
+
+
+def test_addresses_of_every_protocol_are_taken() -> None:
+    one = "tls/twin.local:7447?iface=eth0#so_rcvbuf=65000"
+    ZenohParameters(endpoint=one, routers=("tcp/[fe80::1%eth0]:7447", "unixsock-stream//tmp/router"))

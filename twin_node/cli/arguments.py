@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from twin_node.cli.parser import at_home
 from twin_node.errors import TwinError
-from twin_node.ranges import NOT_NEGATIVE, POSITIVE, WIDTHS_PX, Range
+from twin_node.ranges import NOT_NEGATIVE, PORTS, POSITIVE, WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ RATES = Range(0.001, 1000)
 
 SPEEDS = Range(0.001, 1000)
 """Of clocks, by the recording's: at the least a camera of 15 Hz has an image a minute."""
-
-PORTS = Range(1, 65535)
 
 SEEDS = Range(0, 2**63 - 1024)
 """Up to the last that is a float below 2**63, which torch does not take."""

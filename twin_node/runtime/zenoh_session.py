@@ -5,11 +5,13 @@ from __future__ import annotations
 import ipaddress
 import json
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from twin_node.errors import TwinError
+from twin_node.ranges import PORTS
 
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh looks for a router, on this host alone."""
@@ -19,6 +21,10 @@ ROUTER_CONFIG_VARIABLE = "ZENOH_ROUTER_CONFIG_URI"
 QUEUED_BATCHES = 16
 """Batches of 64 KiB that may wait on a session's link, zenoh's largest number (its default is 2): the images of three
 cameras come at once, and a receiver that is busy for a moment on this host must not cost one of them."""
+WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
+"""Protocols of zenoh whose addresses end in a port."""
+_HOST_AND_PORT = re.compile(r"(\[[^]]+\]|[^][:]+):(?P<port>[0-9]+)")
+"""An IPv6 address stands in brackets: without them its last part would be taken for the port."""
 DISTRIBUTIONS = ("humble", "jazzy", "kilted", "rolling")
 """Distributions of ROS 2 whose wire format is spoken."""
 
@@ -53,6 +59,8 @@ class ZenohParameters:
             raise WireError(f"zenoh router: expected auto, builtin or external, found '{self.router}'")
         if self.ros_distro not in DISTRIBUTIONS:
             raise WireError(f"ros_distro: expected one of {', '.join(DISTRIBUTIONS)}, found '{self.ros_distro}'")
+        for endpoint in (self.endpoint, *filter(None, self.routers)):
+            _check_port(endpoint)
 
     @property
     def domain_id(self) -> int:
@@ -171,6 +179,17 @@ def _is_of_network(endpoint: str) -> bool:
         return protocol == "tcp" and not ipaddress.ip_address(host).is_loopback
     except ValueError:
         return protocol == "tcp" and host != "localhost"
+
+
+def _check_port(endpoint: str) -> None:
+    """Raises `WireError` where none stands, though the protocol has them: zenoh tries such an address for ever."""
+    protocol, _, rest = endpoint.partition("/")
+    found = _HOST_AND_PORT.fullmatch(re.split("[?#]", rest)[0])
+    if protocol in WITH_PORTS and (found is None or not PORTS.holds(int(found["port"]))):
+        raise WireError(
+            f"zenoh: {endpoint}: expected a host and a port ({PORTS}), as in {ROUTER_ENDPOINT} or tcp/[fd00::1]:7447; "
+            "correct the address"
+        )
 
 
 def _config(settings: dict[str, Any]) -> Any:

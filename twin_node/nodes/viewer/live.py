@@ -27,7 +27,7 @@ from twin_node.nodes.viewer.page import CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
 from twin_node.nodes.viewer.priority import go_last
-from twin_node.ranges import WIDTHS_PX, Range, check_ranges
+from twin_node.ranges import PORTS, WIDTHS_PX, check_ranges
 from twin_node.rig import FrameAssembler
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
@@ -77,7 +77,7 @@ class ViewerParameters:
 
     def __post_init__(self) -> None:
         """Raises `ViewerError` for a port or a width that is none: no page, or no image, could be made with it."""
-        check_ranges(self, ViewerError, "viewer: ", port=Range(1, 65535), width=WIDTHS_PX)
+        check_ranges(self, ViewerError, "viewer: ", port=PORTS, width=WIDTHS_PX)
 
 
 @dataclass(frozen=True)
