@@ -312,6 +312,7 @@ def test_a_router_that_ends_with_another_command_is_replaced(
     begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Router:
+        info = SimpleNamespace(routers_zid=lambda: [])
         is_open = True
 
         def close(self) -> None:

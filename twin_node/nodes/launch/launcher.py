@@ -14,6 +14,7 @@ from typing import Any
 
 from twin_node.nodes.launch.child import Child
 from twin_node.nodes.launch.host import REFUSED
+from twin_node.nodes.launch.joining import Joining
 from twin_node.nodes.launch.kinds import check_together
 from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
 from twin_node.nodes.launch.order import Order
@@ -63,6 +64,7 @@ class Launcher:
         self._interrupted = False
         self._is_active = False
         self._router: Any | None = None
+        self._joining = Joining(plan.zenoh.routers)
         self._names: NodeNames | None = None
         self._children: dict[str, Child] = {}
         self._spares: dict[str, Child] = {}
@@ -219,10 +221,14 @@ class Launcher:
     def _keep_router(self) -> None:
         """Takes the place of a router that was another command's (a recorder's, another launch's) and ended with it.
 
-        Those that have found each other go on without one; what is started later would be alone, and nobody told.
+        Those that have found each other go on without one; what is started later would be alone, and nobody told. Where
+        it reaches no other machine's, that is told.
         """
         if self._router is None and not self._plan.is_lockstep:
             self._router = open_router(self._plan.zenoh)
+        news = None if self._router is None else self._joining.news(self._router, time.monotonic())
+        if news is not None:
+            self._say(news)
 
     def _processes(self) -> tuple[ProcessPlan, ...]:
         return (_LOCKSTEP,) if self._plan.is_lockstep else self._plan.processes
