@@ -156,3 +156,20 @@ def test_stamps_for_which_an_arm_stands_are_told(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(time, "time_ns", lambda: now)
     [fault] = told_of_stamps(("driver", JOINT_STATES, now - round(behind_s * 1e9)))
     assert found in fault
+
+
+def test_nodes_of_which_nothing_comes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the link to the twin's machine was cut the graph was sound for ten seconds."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    diagnostics = "diagnostic_msgs/msg/DiagnosticArray"
+    wire = LocalWire()
+    message = convert.diagnostics_to_message(1, [convert.Diagnosis("arm: messages", convert.Level.OK, "")])
+    wire.publisher("arm", DIAGNOSTICS, TopicKind(diagnostics, LATCHED))(message)
+    ends = [replace(publisher(node, DIAGNOSTICS, diagnostics), qos=LATCHED) for node in ("arm", "twin")]
+    ends += [publisher("cell", "/a/image_raw"), publisher("tf", "/tf_static", "tf2_msgs/msg/TFMessage")]
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    assert examine(wire, 0.05).faults == ()  # too short to tell
+    monkeypatch.setattr(doctor, "SILENCE_S", 0.05)
+    cell, twin = examine(wire, 0.05).faults
+    assert cell.startswith("cell: nothing comes of all that it publishes (/a/image_raw); it hangs or waits")
+    assert twin.startswith("twin: nothing comes of all that it publishes (/diagnostics)")

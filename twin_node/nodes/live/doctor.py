@@ -41,6 +41,8 @@ LATE_NS = LONGEST_BRIDGED_NS
 """Messages this old when they come are of no use to anybody: another clock, or a link that is overloaded."""
 DISCOVERY_S = 0.5
 """Time given to the graph to make itself known, s."""
+SILENCE_S = 2.0
+"""Who has been listened to for so long, and says something every second, has been heard, s."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,11 @@ class _Ear:
         irregular = [f"{topic}: {fault}" for fault in faults_of(statistics_of(self._stamps[topic]))]
         return irregular + _clock_faults(self._published[topic], self._delays[topic], self._has_clock)
 
+    def has_heard(self, node: str, topics: Sequence[str]) -> bool:
+        """Whether anything came of what a node publishes; diagnoses are of many nodes, and begin with their names."""
+        others = any(self._stamps[topic] for topic in topics if topic != DIAGNOSTICS)
+        return others or any(name.startswith(f"{node}:") for name in self.newest)
+
     def close(self) -> list[str]:
         """Hears no more; topics whose messages could not be read."""
         unreadable = [t for t in self._bus.traffic if t.unreadable]
@@ -119,7 +126,7 @@ def examine(wire: Wire, seconds: float) -> Findings:
     for topic in sorted(published):
         lines.append(f"{ear.line(topic, width)} of {nodes[topic]}")
         faults += ear.faults(topic)
-    faults += ear.close()
+    faults += ear.close() + (_silent(ear, endpoints) if seconds >= SILENCE_S else [])
     bad = [d for d in ear.newest.values() if d.level is not convert.Level.OK]
     faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
     return Findings(tuple(lines), tuple(faults))
@@ -139,6 +146,24 @@ def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
         ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
         faults += [_type_fault(topic, ends) or _silence_fault(topic, ends, endpoints), _rivalry_fault(topic, ends)]
     return [fault for fault in faults if fault is not None]
+
+
+def _silent(ear: _Ear, endpoints: Sequence[Endpoint]) -> list[str]:
+    """Nodes that are to say something all the time, of which nothing comes.
+
+    They are in the graph for ten seconds more after a link is cut.
+    """
+    said: dict[str, list[str]] = defaultdict(list)
+    for end in endpoints:
+        if end.kind is EntityKind.PUBLISHER:
+            said[end.node.name].append(end.topic)
+    regular = {end.topic for end in endpoints if end.topic == DIAGNOSTICS or end.msgtype in REGULAR_TYPES}
+    return [
+        f"{node}: nothing comes of all that it publishes ({', '.join(sorted(topics))}); it hangs or waits, or its "
+        "machine, or the link to it, has failed"
+        for node, topics in sorted(said.items())
+        if not regular.isdisjoint(topics) and not ear.has_heard(node, topics)
+    ]
 
 
 def _type_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
