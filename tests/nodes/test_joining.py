@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from twin_node.bench.graph_run import free_endpoint
-from twin_node.nodes.launch.joining import PATIENCE_S, Joining
+from twin_node.nodes.launch.joining import PATIENCE_S, SETTLES_S, Joining
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 
 ADDRESS = "tcp/10.0.0.2:7447"
@@ -36,6 +36,17 @@ def test_a_link_that_is_cut_is_told_and_one_that_is_there_from_the_start_is_not(
     line = told(joining, False, 1.0)
     assert line is not None and "no router answers there any more" in line
     assert told(joining, True, 2.0) == f"{ADDRESS}: joined"
+
+
+def test_it_is_fresh_for_a_while_after_it_was_first_joined() -> None:
+    joining = Joining((ADDRESS,))
+    told(joining, False, 0.0)
+    assert not joining.is_fresh(0.0)
+    told(joining, True, 50.0)
+    assert joining.is_fresh(50.0) and joining.is_fresh(50.0 + SETTLES_S) and not joining.is_fresh(50.1 + SETTLES_S)
+    told(joining, False, 100.0)
+    told(joining, True, 101.0)
+    assert not joining.is_fresh(101.0)  # who is there has seen it before
 
 
 def test_a_launch_of_one_machine_waits_for_nobody() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -71,3 +72,16 @@ def test_a_name_is_free_as_soon_as_the_node_that_had_it_ends(network: ZenohParam
         ends.start()
         assert names.taken() is None
         ends.join()
+
+
+def test_who_is_on_a_network_that_is_joined_later_is_heard_of(network: ZenohParameters) -> None:
+    """Of two twins on machines whose link was slow, or came later, both went on: two arms, two speeds."""
+    endpoint = free_endpoint()
+    router = open_router(ZenohParameters(router="builtin", endpoint=endpoint, routers=(network.endpoint,), domain=0))
+    assert router is not None
+    elsewhere = ZenohParameters(router="external", endpoint=endpoint, domain=0)
+    with contextlib.closing(router), NodeNames(elsewhere, ["late", "arm"]) as names, NodeNames(network, ["late"]):
+        until = time.monotonic() + 20.0
+        while names.claimed() is None and time.monotonic() < until:
+            pass
+        assert names.claimed() == "late"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Self
 
 from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, node_of_token
@@ -33,6 +33,8 @@ class NodeNames:
         space = f"{CLAIM_SPACE}/{parameters.domain_id}/{self._id}"
         # Before anybody looks: of two that do so at once, at least the later one sees the other.
         self._tokens = [self._session.liveliness().declare_token(f"{space}/{node}") for node in sorted(self._nodes)]
+        self._claims = _Claims(self._id, self._nodes)
+        self._ear: Any | None = None
 
     def taken(self) -> str | None:
         """One of the names that a node has which is alive, or that another launch claims; None: all are free.
@@ -52,8 +54,23 @@ class NodeNames:
                 return None
             time.sleep(LOOK_S)
 
+    def claimed(self) -> str | None:
+        """One of the names that another launch claims, and not only for a moment; None: nobody does.
+
+        It listens from the first call on and asks nobody, so that it can be called again and again: of another network,
+        which is joined later than this has looked for who is alive, claims come by themselves.
+        """
+        if self._ear is None:
+            everyone = f"{CLAIM_SPACE}/{self._parameters.domain_id}/*/*"
+            self._ear = self._session.liveliness().declare_subscriber(everyone, self._claims, history=True)
+        now = time.monotonic()
+        names = [name for name, since in self._claims.since() if now - since >= TELL_S]
+        return min(names, default=None)
+
     def close(self) -> None:
         """Gives the names up."""
+        if self._ear is not None:
+            self._ear.undeclare()
         self._session.close()
 
     def __enter__(self) -> Self:
@@ -73,6 +90,30 @@ class NodeNames:
         claimed = [token.split("/")[2:] for token in _tokens(self._session, f"{CLAIM_SPACE}/{domain}/*/*")]
         found = (*alive, *((by, name) for by, name in claimed if by != self._id))
         return frozenset((by, name) for by, name in found if name is not None and name in self._nodes)
+
+
+class _Claims:
+    """Hears, in zenoh's threads, who else claims names that a launch has."""
+
+    def __init__(self, own: str, nodes: Collection[str]) -> None:
+        """`own`: the number of the launch's session."""
+        self._own = own
+        self._nodes = nodes
+        self._tokens: dict[str, float] = {}
+
+    def __call__(self, sample: Any) -> None:
+        import zenoh
+
+        token = str(sample.key_expr)
+        *_, by, name = token.split("/")
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._tokens.pop(token, None)
+        elif by != self._own and name in self._nodes:
+            self._tokens.setdefault(token, time.monotonic())
+
+    def since(self) -> list[tuple[str, float]]:
+        """Names that others claim now, and since when each was heard to be claimed, monotonic, s."""
+        return [(token.rpartition("/")[2], since) for token, since in tuple(self._tokens.items())]
 
 
 def _tokens(session: Any, pattern: str) -> list[str]:

@@ -7,6 +7,8 @@ from typing import Any
 
 PATIENCE_S = 3.0
 """A router that is there is joined by then, s; one that is begun at the same time may take longer, and is told of."""
+SETTLES_S = 10.0
+"""By then what there is on the other machines is known here, even by a slow link, s."""
 
 
 class Joining:
@@ -19,6 +21,12 @@ class Joining:
         """When the router was first looked at, s."""
         self._was_joined: bool | None = None
         """What is known; None: nothing yet."""
+        self._joined: float | None = None
+        """When it was first joined, s."""
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether the other machines have been there for so short a time that not all of theirs may be known."""
+        return self._joined is not None and now - self._joined <= SETTLES_S
 
     def news(self, router: Any, now: float) -> str | None:
         """What has changed, in words; `router`: the launch's own, `now`: s of a clock that never goes back."""
@@ -26,6 +34,7 @@ class Joining:
             return None
         self._since = now if self._since is None else self._since
         is_joined = bool(router.info.routers_zid())
+        self._joined = now if is_joined and self._joined is None else self._joined
         is_early = self._was_joined is None and now - self._since <= PATIENCE_S
         if is_joined is self._was_joined or (is_early and not is_joined):
             return None

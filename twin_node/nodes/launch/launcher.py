@@ -165,10 +165,13 @@ class Launcher:
         if taken is None:
             return names
         names.close()
-        raise GraphError(
-            f"{self._plan.path}: node '{taken}' is alive already in ROS domain {zenoh.domain_id}, in another launch or "
-            "by a command of its own (record, play, view --live, ur-driver); end that, or set ROS_DOMAIN_ID to another "
-            "number for this one"
+        raise self._alive_already(taken)
+
+    def _alive_already(self, node: str) -> GraphError:
+        return GraphError(
+            f"{self._plan.path}: node '{node}' is alive already in ROS domain {self._plan.zenoh.domain_id}, in another "
+            "launch or by a command of its own (record, play, view --live, ur-driver); end that, or set ROS_DOMAIN_ID "
+            "to another number for this one"
         )
 
     def _tell_of_foreign_router(self) -> None:
@@ -221,14 +224,25 @@ class Launcher:
     def _keep_router(self) -> None:
         """Takes the place of a router that was another command's (a recorder's, another launch's) and ended with it.
 
-        Those that have found each other go on without one; what is started later would be alone, and nobody told. Where
-        it reaches no other machine's, that is told.
+        Those that have found each other go on without one; what is started later would be alone, and nobody told.
         """
         if self._router is None and not self._plan.is_lockstep:
             self._router = open_router(self._plan.zenoh)
-        news = None if self._router is None else self._joining.news(self._router, time.monotonic())
+        if self._router is not None:
+            self._look_beyond(self._router, time.monotonic())
+
+    def _look_beyond(self, router: Any, now: float) -> None:
+        """Tells whether other machines' routers are reached, and gives way to who has the same nodes behind them.
+
+        Where a link is slow, or comes later, nobody was seen there when the names were claimed. Raises `GraphError`.
+        """
+        news = self._joining.news(router, now)
         if news is not None:
             self._say(news)
+        if self._names is not None and self._joining.is_fresh(now):
+            claimed = self._names.claimed()
+            if claimed is not None:
+                raise self._alive_already(claimed)
 
     def _processes(self) -> tuple[ProcessPlan, ...]:
         return (_LOCKSTEP,) if self._plan.is_lockstep else self._plan.processes
