@@ -74,6 +74,11 @@ def test_files_of_every_kind_are_the_boards_that_they_say(tmp_path: Path, name: 
         (f"kind: charuco\n{SIZE}square: 0.03\nmarker: 0.02\ninvert: true\n", "found 'invert'; did you mean 'inverted'"),
         (f"kind: aprilgrid\n{SIZE}tag: 0.03\ngap: 0.3\nspacing: 0.3\n", "found 'spacing'"),
         (f"kind: circles\n{SIZE}spacing: 0.03\nsquare: 0.3\n", "found 'square'"),
+        (
+            f"kind: charuco\n{SIZE}square: 0.03\nmarker: 0.02\ndictionary: DICT_9X9\n",
+            "marker dictionary: .* 'DICT_9X9'",
+        ),
+        ("kind: charuco\ncolumns: 30\nrows: 30\nsquare: 0.03\nmarker: 0.02\n", "expected at most 50 markers"),
         (f"kind: chess\n{SIZE}square: 0.03\n", r"kind: expected one of chessboard, .*, found 'chess'"),
         ("kind: chessboard\ncolumns: 6.5\nrows: 5\nsquare: 0.03\n", "columns: expected a whole number of 2 or more"),
         ("kind: circles\ncolumns: 1\nrows: 5\nspacing: 0.03\n", "columns: expected a whole number of 2 or more"),

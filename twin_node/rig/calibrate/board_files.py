@@ -182,7 +182,7 @@ def whole(fields: Fields, key: str) -> int:
 
 
 def checked(where: str, board: Board) -> Board:
-    """The board, if there can be one. Raises `RigError` for lengths that no board has."""
+    """The board, if there can be one. Raises `RigError` for lengths and markers that no board has."""
     smallest = 3 if isinstance(board, Chessboard | CharucoBoard) else 2
     if min(board.columns, board.rows) < smallest:
         raise RigError(f"{where}: expected at least {smallest} columns and rows, found {board}")
@@ -191,7 +191,10 @@ def checked(where: str, board: Board) -> Board:
     if isinstance(board, CharucoBoard) and not 0 < board.marker < board.square:
         raise RigError(f"{where}: expected markers smaller than squares, found {board}")
     if isinstance(board, CharucoBoard | AprilGrid):
-        dictionary_of(board)
+        try:
+            dictionary_of(board)
+        except RigError as error:
+            raise RigError(f"{where}: {error}") from None
     if not all(0 < length < np.inf for length in vars(board).values() if isinstance(length, float)):
         raise RigError(f"{where}: expected lengths above 0, found {board}")
     if float(board.points.max()) > LARGEST_M:
