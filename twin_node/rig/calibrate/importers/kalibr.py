@@ -35,17 +35,18 @@ def import_kalibr(path: Path, unit: float = 1.0) -> RigFile:
         camera = _camera(fields, f"cam{len(cameras)}", T_rig_cam)
         offset = fields.number("timeshift_cam_imu", 0.0)
         if abs(offset) > LATEST_S:
-            raise RigError(f"{fields.where}.timeshift_cam_imu: expected seconds, found {offset:g}; no clock is there")
+            raise RigError(f"{fields.where}.timeshift_cam_imu: expected seconds, found {offset:g}; correct it")
         cameras.append(replace(camera, time_offset_ns=round(offset * 1e9)))
     _check_all_read(path, data, len(cameras))
     return foreign_rig(str(path), cameras, "cam0_optical_frame", "From Kalibr; poses in the optical frame of cam0.")
 
 
 def _check_all_read(path: Path, data: object, count: int) -> None:
-    """Raises `RigError` for a camera that no other leads to."""
+    """Raises `RigError` for a camera that no other leads to; `count`: those that were read."""
+    read = {f"cam{i}" for i in range(count)}
     for key in data if isinstance(data, dict) else ():
-        if re.fullmatch(r"cam\d+", str(key)) and key not in (f"cam{i}" for i in range(count)):
-            raise RigError(f"{path}: expected cam{count} before {key}, found none; a chain leaves out no camera")
+        if re.fullmatch(r"cam\d+", str(key)) and key not in read:
+            raise RigError(f"{path}: expected cam{count} before {key}, found none; number the cameras without a gap")
 
 
 def _camera(fields: Fields, name: str, T_rig_cam: Float64) -> RigCamera:
