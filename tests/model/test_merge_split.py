@@ -15,10 +15,10 @@ from twin_node.model.decisions import Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import AGREED_S, SEARCHES, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
-from twin_node.model.parts import halves_of, lie_apart, redealt
+from twin_node.model.parts import halves_of, halves_reference, lie_apart, redealt
 from twin_node.model.passing import Passing
 from twin_node.model.regrouping import Carried, regroup
-from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, velocities_of
+from twin_node.model.velocity_equations import PARAMETERS, PoseEquations, VelocityEquations, nothing, velocities_of
 from twin_node.scene import Tier
 
 DT_S = TICK_NS * 1e-9
@@ -233,6 +233,33 @@ def test_what_errs_throughout_a_body_is_no_second_one_and_what_parts_is() -> Non
     assert np.array_equal(found[1], half) or np.array_equal(found[1], ~half)
     assert lie_apart(centres, np.stack([throughout, half])).tolist() == [False, True]
     assert lie_apart(centres[:3], np.array([[True, False, True]])).all(), "three cells are too few to tell"
+
+
+def test_compiled_halves_are_the_plain_ones() -> None:
+    """Of bodies of few to many cells whose part goes its own way, not at all to clearly."""
+    rng, found = np.random.default_rng(0), []
+    for count in (5, 24, 60, 61, 121, 200):
+        centres = rng.uniform(-0.15, 0.15, (count, 3)) * (1.0, 0.9, 0.4) + rng.normal(size=3)
+        tilted = (centres - centres.mean(0)) @ rng.normal(size=3) > 0.02
+        second = tilted if count % 2 else np.linalg.norm(centres - centres[0], axis=1) < 0.12
+        for apart, noise in ((0.0, 0.2), (0.002, 0.2), (0.01, 0.2), (0.1, 0.2), (0.1, 4.0)):
+            two = np.zeros((count, PARAMETERS))
+            two[second, 1] = apart
+            said = replace(told(two, centres, count, noise), counts=rng.permutation(np.geomspace(1, 200, count)))
+            for suspected in (None, second, rng.random(count) > 0.5):
+                plain = halves_reference(said, centres, noise**2, suspected)
+                found.append(halves_of(said, centres, noise**2, suspected))
+                assert (found[-1] is None) == (plain is None)
+                assert plain is None or np.array_equal(found[-1], plain)
+    assert 0 < sum(one is None for one in found) < len(found)
+
+
+def test_of_hardly_anything_said_there_are_no_halves() -> None:
+    cells = row_of(6, [0] * 6)
+    said = told(np.zeros((6, 6)), cells.centres, 0)
+    for few in (nothing(0), nothing(6), said.of(np.zeros(1, np.int64))):
+        assert halves_of(few, np.zeros((len(few), 3)), 0.04) is None
+        assert halves_reference(few, np.zeros((len(few), 3)), 0.04) is None
 
 
 def test_a_suspicion_whose_cut_lies_all_over_the_body_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:

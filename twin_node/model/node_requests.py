@@ -119,6 +119,19 @@ class MoveRequest(KernelRequest):
     _fields_ = (("count", c_int64), *((name, c_void_p) for name in ("H", "g", "points", "moved_H", "moved_g")))
 
 
+class HalvesRequest(KernelRequest):
+    """`model::HalvesRequest`."""
+
+    KERNEL = "halves"
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("H", "g", "squares", "counts", "centres", "expected", "loose", "suspected")),
+        *((name, c_double) for name in ("misfit", "least", "rarely", "better", "mixed")),
+        *((name, c_int32) for name in ("rounds", "beside")),
+        *((name, c_void_p) for name in ("second", "found")),
+    )
+
+
 class NewbornRequest(KernelRequest):
     """`model::NewbornRequest`."""
 

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from twin_node.model.velocity_equations import PARAMETERS, VelocityEquations, judge, velocities_of
+from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import HalvesRequest
+from twin_node.model.velocity_equations import (
+    LOOSE,
+    PARAMETERS,
+    RARELY,
+    USUAL,
+    VelocityEquations,
+    judge,
+    velocities_of,
+)
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64
 
 LEAST = PARAMETERS
@@ -31,6 +42,27 @@ def halves_of(said: VelocityEquations, centres: Float64, misfit: float, suspecte
     velocity explains them better (Lloyd's algorithm with the flow's own errors, of variance `misfit`, as distance).
     Parts that do not lie apart are none.
     """
+    library = kernels()
+    if library is None:
+        return halves_reference(said, centres, misfit, suspected)
+    given = [np.ascontiguousarray(values, np.float64) for values in (*vars(said).values(), centres, USUAL, LOOSE)]
+    known = None if suspected is None else np.ascontiguousarray(suspected)
+    second, found = np.empty(len(said), bool), np.zeros(1, bool)
+    library.run(
+        HalvesRequest(
+            len(said),
+            *addresses_of(*given, known),
+            *(misfit, LEAST, RARELY, BETTER, MIXED, ROUNDS, BESIDE),
+            *addresses_of(second, found),
+        )
+    )
+    return second if found[0] else None
+
+
+def halves_reference(
+    said: VelocityEquations, centres: Float64, misfit: float, suspected: Bool | None = None
+) -> Bool | None:
+    """The same in NumPy: the reference of the compiled kernel."""
     weight = said.counts
     if len(said) < 2 or weight.sum() < 2 * LEAST:
         return None
@@ -90,15 +122,23 @@ def redealt(said: VelocityEquations, centres: Float64, second: Bool, misfit: flo
 
 def _dealt(own: VelocityEquations, arms: Float64, weight: Float64) -> Bool:
     """[4, c] first guesses: either side of the middle along each of the body's axes, and along its cells' motions."""
-    axes = np.linalg.svd(arms * np.sqrt(weight)[:, None], full_matrices=False)[2]
+    axes = _axes(arms * np.sqrt(weight)[:, None])
     whole = own.summed(np.zeros(len(own), np.int64), 1)
     velocity = velocities_of(whole, np.zeros((1, 3)))[0]
     rest = own.g - (own.H @ velocity[:, None])[..., 0]
     pulls = rest[:, :3] / np.sqrt(np.maximum(np.trace(own.H[:, :3, :3], axis1=1, axis2=2), 1e-12))[:, None]
-    way = np.linalg.svd(pulls, full_matrices=False)[2][:1]
+    way = _axes(pulls)[:1]
     along = np.concatenate([(arms @ axes.T).T, (pulls @ way.T).T])
     guesses: Bool = along > np.array([[_median(row, weight)] for row in along])
     return guesses
+
+
+def _axes(places: Float64) -> Float64:
+    """[k, 3] axes of `places` [c, 3], the longest first; of each the largest component is positive."""
+    axes = np.linalg.svd(places, full_matrices=False)[2]
+    largest = np.take_along_axis(axes, np.abs(axes).argmax(1)[:, None], 1)
+    signed: Float64 = np.copysign(1.0, largest) * axes
+    return signed
 
 
 def _dealt_again(own: VelocityEquations, second: Bool) -> Bool:

@@ -9,6 +9,7 @@
 #include "deaths.h"
 #include "exposing.h"
 #include "flow.h"
+#include "halves.h"
 #include "held.h"
 #include "look.h"
 #include "mask.h"
@@ -92,6 +93,10 @@ void model_judge_velocities(const model::JudgeRequest *request) { model::judge_v
 void model_solve_velocities(const model::VelocityRequest *request) { model::solve_velocities(*request); }
 
 void model_move_velocities(const model::MoveRequest *request) { model::move_velocities(*request); }
+
+int32_t model_halves(const model::HalvesRequest *request) {
+  return boundary::guarded([&] { model::Halves(*request).find(); });
+}
 
 void model_capsules(const model::CapsuleRequest *request) { model::find_nearest_capsules(*request); }
 

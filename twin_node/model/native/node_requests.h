@@ -109,6 +109,21 @@ struct MoveRequest {
   double *moved_H, *moved_g;  // [count, 6, 6], [count, 6] written
 };
 
+// What was said of the cells of one node, to be seen as two bodies; see `parts.py`.
+struct HalvesRequest {
+  int64_t count;
+  const double *H, *g, *squares, *counts, *centres;  // [count, 6, 6], [count, 6], [count], [count], [count, 3] m
+  const double *expected, *loose;                    // [6] m/s and rad/s, 1 sigma: to judge by, to solve by
+  const uint8_t *suspected;                          // [count] or null
+  double misfit;                                     // variance of the errors
+  double least;                                      // independent observations of a part
+  double rarely, better;                             // nats
+  double mixed;                                      // share of neighbours that may be the other part's
+  int32_t rounds, beside;                            // times that cells are dealt out again, neighbours
+  uint8_t *second;                                   // [count] written: those of the smaller body
+  uint8_t *found;                                    // [1] written: whether there are two
+};
+
 // Births [count] to be stored in `room` rows, those that nodes carry first, then those in free space, before what stands
 // for a while, and for good; each in the order given.
 struct NewbornRequest {

@@ -63,53 +63,68 @@ inline void invert(const double (&L)[kTwist][kTwist], double (&R)[kTwist][kTwist
   }
 }
 
+// How well one body explains what was said of it; see `velocity_equations.Judged`.
+struct Judgement {
+  double evidence, at_rest, fit, cost, told;
+};
+
+// Judges a body by its equations in the velocity of its middle, which is expected to be of `scale` (1 sigma).
+inline Judgement judge_body(const double *H, const double *g, double squares, const double *scale) {
+  double known[kTwist][kTwist], L[kTwist][kTwist], R[kTwist][kTwist];
+  for (int i = 0; i < kTwist; i++) {
+    for (int j = 0; j < kTwist; j++) known[i][j] = (i == j) + scale[i] * H[kTwist * i + j] * scale[j];
+  }
+  decompose(known, L);
+  invert(L, R);
+  double explained = 0, untold = 0, cost = 0;
+  for (int i = 0; i < kTwist; i++) {
+    double along = 0;
+    for (int j = 0; j <= i; j++) {
+      along += R[i][j] * scale[j] * g[j];
+      untold += R[i][j] * R[i][j];
+    }
+    explained += along * along;
+    cost += std::log(R[i][i]);
+  }
+  const double at_rest = -squares / 2, fit = at_rest + explained / 2;
+  return {fit + cost, at_rest, fit, squares - explained, kTwist - untold};
+}
+
+// The most likely velocity of a body by its equations, where one of `scale` (1 sigma) is expected.
+inline void solve_body(const double *H, const double *g, const double *scale, double *velocity) {
+  double known[kTwist][kTwist], L[kTwist][kTwist];
+  for (int i = 0; i < kTwist; i++) {
+    for (int j = 0; j < kTwist; j++) known[i][j] = H[kTwist * i + j];
+    known[i][i] += 1 / (scale[i] * scale[i]);
+  }
+  decompose(known, L);
+  for (int i = 0; i < kTwist; i++) {
+    double sum = g[i];
+    for (int k = 0; k < i; k++) sum -= L[i][k] * velocity[k];
+    velocity[i] = sum / L[i][i];
+  }
+  for (int i = kTwist - 1; i >= 0; i--) {
+    double sum = velocity[i];
+    for (int k = i + 1; k < kTwist; k++) sum -= L[k][i] * velocity[k];
+    velocity[i] = sum / L[i][i];
+  }
+}
+
 inline void judge_velocities(const JudgeRequest &r) {
   for (int64_t n = 0; n < r.count; n++) {
-    double H[kTwist * kTwist], g[kTwist], known[kTwist][kTwist], L[kTwist][kTwist], R[kTwist][kTwist];
+    double H[kTwist * kTwist], g[kTwist];
     move_to(r.H + kTwist * kTwist * n, r.g + kTwist * n, r.points + 3 * n, H, g);
-    for (int i = 0; i < kTwist; i++) {
-      for (int j = 0; j < kTwist; j++) known[i][j] = (i == j) + r.scale[i] * H[kTwist * i + j] * r.scale[j];
-    }
-    decompose(known, L);
-    invert(L, R);
-    double explained = 0, squares = 0, cost = 0;
-    for (int i = 0; i < kTwist; i++) {
-      double along = 0;
-      for (int j = 0; j <= i; j++) {
-        along += R[i][j] * r.scale[j] * g[j];
-        squares += R[i][j] * R[i][j];
-      }
-      explained += along * along;
-      cost += std::log(R[i][i]);
-    }
-    r.at_rest[n] = -r.squares[n] / 2;
-    r.fit[n] = r.at_rest[n] + explained / 2;
-    r.evidence[n] = r.fit[n] + cost;
-    r.costs[n] = r.squares[n] - explained;
-    r.told[n] = kTwist - squares;
+    const Judgement judged = judge_body(H, g, r.squares[n], r.scale);
+    r.evidence[n] = judged.evidence, r.at_rest[n] = judged.at_rest, r.fit[n] = judged.fit;
+    r.costs[n] = judged.cost, r.told[n] = judged.told;
   }
 }
 
 inline void solve_velocities(const VelocityRequest &r) {
   for (int64_t n = 0; n < r.count; n++) {
-    double H[kTwist * kTwist], g[kTwist], known[kTwist][kTwist], L[kTwist][kTwist];
+    double H[kTwist * kTwist], g[kTwist];
     move_to(r.H + kTwist * kTwist * n, r.g + kTwist * n, r.points + 3 * n, H, g);
-    for (int i = 0; i < kTwist; i++) {
-      for (int j = 0; j < kTwist; j++) known[i][j] = H[kTwist * i + j];
-      known[i][i] += 1 / (r.scale[i] * r.scale[i]);
-    }
-    decompose(known, L);
-    double *velocity = r.velocities + kTwist * n;
-    for (int i = 0; i < kTwist; i++) {
-      double sum = g[i];
-      for (int k = 0; k < i; k++) sum -= L[i][k] * velocity[k];
-      velocity[i] = sum / L[i][i];
-    }
-    for (int i = kTwist - 1; i >= 0; i--) {
-      double sum = velocity[i];
-      for (int k = i + 1; k < kTwist; k++) sum -= L[k][i] * velocity[k];
-      velocity[i] = sum / L[i][i];
-    }
+    solve_body(H, g, r.scale, r.velocities + kTwist * n);
   }
 }
 
