@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin_node.nodes.cloud_updates import CloudUpdates, updated
+from twin_node.nodes.cloud_updates import CloudUpdates, changes_between, changes_reference, updated
 from twin_node.scene import GaussianCloud, Tier
 
 
@@ -69,6 +69,23 @@ def test_what_stands_is_told_again_where_it_looks_otherwise(name: str, little: f
 
     assert changed(little) == []
     assert changed(much) == [3]
+
+
+def test_compiled_changes_are_the_plain_ones() -> None:
+    """Of clouds of which some Gaussians are the same, some differ a little more or less, and some come and go."""
+    rng = np.random.default_rng(1)
+    for count in (0, 1, 400):
+        then = cloud(sorted(rng.permutation(600)[:count].tolist()), rng.choice([STATIC, RIGID], count).tolist())
+        now = cloud(rng.permutation(600)[:count].tolist(), rng.choice([STATIC, RIGID], count).tolist())
+        seen = {name: vars(now)[name] + np.float32(0.0) for name in ("means", "scales", "opacities", "rgb")}
+        for name, much in (("means", 0.003), ("scales", 0.003), ("opacities", 0.06), ("rgb", 0.03)):
+            seen[name] += rng.normal(0, much, seen[name].shape).astype(np.float32)
+        for one, other in ((replace(now, **seen), then), (then, then), (now, cloud([], [])), (cloud([], []), then)):
+            for found, plain in zip(changes_between(one, other), changes_reference(one, other), strict=True):
+                assert np.array_equal(found, plain)
+    changed, gone = changes_between(replace(now, **seen), then)
+    assert 20 < changed.sum() < 380
+    assert 20 < gone.sum() < 380
 
 
 def test_changes_are_those_since_the_last_whole_cloud() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from ctypes import c_double, c_float, c_int32, c_int64, c_uint8, c_void_p
 
 from twin_node.native_library import KernelRequest
@@ -48,6 +49,27 @@ class PublishRequest(KernelRequest):
         *((name, c_void_p) for name in ("node_positions", "node_quats", "node_velocities", "node_turns")),
         *((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "rgb", "velocities")),
         *((name, c_void_p) for name in ("tiers", "ids", "published")),
+    )
+
+
+class Cloud(ctypes.Structure):
+    """`model::Cloud`."""
+
+    _fields_ = (
+        ("count", c_int64),
+        *((name, c_void_p) for name in ("means", "scales", "opacities", "rgb", "tiers", "ids")),
+    )
+
+
+class ChangeRequest(KernelRequest):
+    """`model::ChangeRequest`."""
+
+    KERNEL, RETURNS = "find_changes", None
+    _fields_ = (
+        *((name, Cloud) for name in ("now", "then")),
+        *((name, c_float) for name in ("colour", "opacity", "size")),
+        ("standing", c_uint8),
+        *((name, c_void_p) for name in ("changed", "gone")),
     )
 
 

@@ -6,10 +6,14 @@ Who keeps the three has the model as it is, though most of it stands and is not 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import ChangeRequest, Cloud
+from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, GaussianCloud, Tier
 
 SHOWN_COLOUR = 0.04
@@ -38,14 +42,7 @@ class CloudUpdates:
         whole = self._whole
         if whole is None:
             return cloud.only(np.zeros(len(cloud.ids), np.bool_))
-        rows, known = rows_of(cloud.ids, whole.ids)
-        stood = known.copy()
-        stood[known] = whole.tiers[rows[known]] == Tier.STATIC
-        stands = cloud.tiers == Tier.STATIC
-        changed, same = stands & ~stood, np.flatnonzero(stands & stood)
-        changed[same] = _looks_otherwise(cloud, same, whole, rows[same])
-        gone = whole.tiers == Tier.STATIC
-        gone[rows[known]] = False
+        changed, gone = changes_between(cloud, whole)
         left = whole.only(gone)
         left = replace(left, opacities=np.zeros_like(left.opacities), nodes=np.full_like(left.nodes, -1))
         return cloud.only(changed).joined(left)
@@ -63,6 +60,35 @@ def updated(whole: GaussianCloud, changed: GaussianCloud | None, moving: Gaussia
     return whole.only((whole.tiers == Tier.STATIC) & ~np.isin(whole.ids, moving.ids)).joined(moving)
 
 
+def changes_between(now: GaussianCloud, then: GaussianCloud) -> tuple[Bool, Bool]:
+    """[N] which Gaussians of `now` are STATIC and were not in `then`, whose ids ascend, or look otherwise there.
+
+    And [K] which of `then` were STATIC and are gone.
+    """
+    library = kernels()
+    if library is None:
+        return changes_reference(now, then)
+    held = [[np.ascontiguousarray(of) for of in _seen(cloud)] for cloud in (now, then)]
+    clouds = [Cloud(len(cloud.ids), *addresses_of(*arrays)) for cloud, arrays in zip((now, then), held, strict=True)]
+    changed, gone = np.empty(len(now.ids), np.bool_), np.empty(len(then.ids), np.bool_)
+    limits = (SHOWN_COLOUR, SHOWN_OPACITY, SHOWN_SIZE, int(Tier.STATIC))
+    library.run(ChangeRequest(*clouds, *limits, *addresses_of(changed, gone)))
+    return changed, gone
+
+
+def changes_reference(now: GaussianCloud, then: GaussianCloud) -> tuple[Bool, Bool]:
+    """The same in NumPy: the reference of the compiled kernel."""
+    rows, known = rows_of(now.ids, then.ids)
+    stood = known.copy()
+    stood[known] = then.tiers[rows[known]] == Tier.STATIC
+    stands = now.tiers == Tier.STATIC
+    changed, same = stands & ~stood, np.flatnonzero(stands & stood)
+    changed[same] = _looks_otherwise(now, same, then, rows[same])
+    gone = then.tiers == Tier.STATIC
+    gone[rows[known]] = False
+    return changed, gone
+
+
 def rows_of(ids: NDArray[np.uint32], ascending: NDArray[np.uint32]) -> tuple[NDArray[np.intp], Bool]:
     """[N] where `ids` [N] stand in an ascending array, and whether each does; 0 where not."""
     if not len(ascending):
@@ -78,6 +104,11 @@ def rows_of(ids: NDArray[np.uint32], ascending: NDArray[np.uint32]) -> tuple[NDA
 def is_same(one: GaussianCloud, other: GaussianCloud) -> bool:
     """Whether two clouds hold the same Gaussians, in the same order."""
     return all(np.array_equal(own, vars(other)[name]) for name, own in vars(one).items())
+
+
+def _seen(cloud: GaussianCloud) -> tuple[NDArray[Any], ...]:
+    """What is seen of its Gaussians, in the order of `node_requests.Cloud`."""
+    return cloud.means, cloud.scales, cloud.opacities, cloud.rgb, cloud.tiers, cloud.ids
 
 
 def _looks_otherwise(

@@ -78,6 +78,8 @@ void model_publish(const model::PublishRequest *request) {
   crew::parallel_for(request->threads, tasks, [&](int64_t i) { model::publish(*request, i * model::kPublishedPerTask); });
 }
 
+void model_find_changes(const model::ChangeRequest *request) { model::find_changes(*request); }
+
 void model_extents(const model::ExtentRequest *request) { model::find_extents(*request); }
 
 int32_t model_creep(const model::CreepRequest *request) {

@@ -50,6 +50,22 @@ struct PublishRequest {
   int32_t *published;
 };
 
+// What is seen of a cloud's Gaussians.
+struct Cloud {
+  int64_t count;
+  const float *means, *scales, *opacities, *rgb;  // [count, 3] m, [count, 3] m, [count], [count, 3]
+  const uint8_t *tiers;
+  const uint32_t *ids;
+};
+
+// A cloud beside an older one, whose ids ascend; see `cloud_updates.py`.
+struct ChangeRequest {
+  Cloud now, then;
+  float colour, opacity, size;  // differences from which on it is another; of sizes and places as shares of a size
+  uint8_t standing;             // tier
+  uint8_t *changed, *gone;      // [now.count], [then.count] written
+};
+
 struct ExtentRequest {
   int64_t count, nodes;
   const int64_t *rows, *carriers;       // [count], [capacity]

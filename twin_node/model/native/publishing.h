@@ -54,6 +54,32 @@ inline void publish(const PublishRequest &r, int64_t first) {
   }
 }
 
+// Whether what is seen of number `i` of one cloud and of number `j` of an older one differs.
+inline bool looks_otherwise(const ChangeRequest &r, int64_t i, int64_t j) {
+  const float *size = r.then.scales + 3 * j;
+  const float farthest = r.size * std::max(std::max(size[0], size[1]), size[2]);
+  for (int k = 0; k < 3; k++) {
+    if (std::abs(r.now.scales[3 * i + k] - size[k]) > r.size * size[k]) return true;
+    if (std::abs(r.now.means[3 * i + k] - r.then.means[3 * j + k]) > farthest) return true;
+    if (std::abs(r.now.rgb[3 * i + k] - r.then.rgb[3 * j + k]) > r.colour) return true;
+  }
+  return std::abs(r.now.opacities[i] - r.then.opacities[j]) > r.opacity;
+}
+
+// What stands and is new or looks otherwise, and what has stood and is gone. Most ids come in the order of the older cloud.
+inline void find_changes(const ChangeRequest &r) {
+  const uint32_t *ids = r.then.ids, *end = ids + r.then.count, *next = ids;
+  for (int64_t j = 0; j < r.then.count; j++) r.gone[j] = r.then.tiers[j] == r.standing;
+  for (int64_t i = 0; i < r.now.count; i++) {
+    if (next == end || *next != r.now.ids[i]) next = std::lower_bound(ids, end, r.now.ids[i]);
+    const bool is_known = next != end && *next == r.now.ids[i];
+    const int64_t j = next - ids;
+    r.changed[i] = r.now.tiers[i] == r.standing &&
+                   !(is_known && r.then.tiers[j] == r.standing && !looks_otherwise(r, i, j));
+    if (is_known) r.gone[j] = 0, next++;
+  }
+}
+
 // Of every node, in its own frame: the centroid of what it carries, by opacity, and how far from there that lies.
 inline void find_extents(const ExtentRequest &r) {
   std::fill_n(r.centroids, 3 * r.nodes, 0.);
