@@ -14,7 +14,7 @@ from test_steps import observe
 from twin_node.geometry import project
 from twin_node.model.backgrounds import look_at_spheres, pixels_reached
 from twin_node.model.normal_equations import NormalEquations, linearise
-from twin_node.model.points import Carried, find_pixels, has_points
+from twin_node.model.points import MOTIONS, Carried, find_pixels, has_points
 from twin_node.model.rays import look
 from twin_node.model.rendering import render
 
@@ -79,3 +79,22 @@ def test_a_camera_that_sees_nothing_adds_nothing() -> None:
     equations.add_view(carried, blind, rendering, np.zeros((90, 120, 2), np.float32), 1.0)
     assert not equations.sums.H.any() and not equations.count.any()
     assert len(frames(0, None, CAMERAS).views) == len(CAMERAS)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_compiled_motions_are_those_of_numpy(seed: int) -> None:
+    """Of nodes of which much, little and nothing is seen."""
+    generator = np.random.default_rng(seed)
+    equations = NormalEquations(6)
+    J = generator.normal(size=(6, 40, MOTIONS)) * np.geomspace(1e-2, 1e4, 6)[:, None, None]
+    error = generator.normal(size=(6, 40, 1))
+    J[2] = 0
+    own = equations.sums
+    own.H[:], own.g[:] = np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ error)[..., 0]
+    own.squares[:], own.weights[:] = np.square(error).sum((1, 2)), (3, 1, 0, 5, 0.1, 7)
+    for size in (6, MOTIONS):
+        sigmas = np.geomspace(1e-3, 1, size)
+        solved, plain = equations.solve(size, sigmas), equations.solve_reference(size, sigmas)
+        for name, values in vars(plain).items():
+            assert np.allclose(vars(solved)[name], values, 1e-6, 1e-12), name
+        assert not solved.solution[2].any()

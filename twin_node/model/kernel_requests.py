@@ -7,7 +7,7 @@ from ctypes import c_double, c_float, c_int32, c_int64, c_void_p
 
 from twin_node.native_library import KernelRequest
 
-INTERFACE_VERSION = 28
+INTERFACE_VERSION = 29
 
 
 class MaskRules(ctypes.Structure):

@@ -210,3 +210,13 @@ class MotionRequest(KernelRequest):
         *((name, c_void_p) for name in ("counted", "shown", "image", "flow", "depth")),
         *((name, c_void_p) for name in ("H", "g", "squares", "weights")),
     )
+
+
+class SolveRequest(KernelRequest):
+    """`model::SolveRequest`."""
+
+    KERNEL, RETURNS = "solve_motions", None
+    _fields_ = (
+        *((name, c_int64) for name in ("count", "size")),
+        *((name, c_void_p) for name in ("sigmas", "H", "g", "squares", "weights", "solution", "variances", "cost")),
+    )

@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import cross
+from twin_node.model.kernels import kernels
+from twin_node.model.node_requests import SolveRequest
 from twin_node.model.observation import Observed
 from twin_node.model.points import MOTIONS, Carried, Equations, Seen, Weighing, gather_motion, has_points
 from twin_node.model.rays import look
 from twin_node.model.rendering import Rendering
 from twin_node.model.velocity_equations import add_up
+from twin_node.native_library import addresses_of
 from twin_node.scene import Camera, Float32, Float64
 
 COLOUR_SIGMA = 0.1
@@ -111,7 +114,18 @@ class NormalEquations:
         return total
 
     def solve(self, size: int, sigmas: NDArray[np.float64]) -> Solved:
-        """The most likely motion in the first `size` parameters, whose own 1 sigma are `sigmas` [size]."""
+        """The most likely motion in the first `size` parameters, 6 or 12, whose own 1 sigma are `sigmas` [size]."""
+        library = kernels()
+        if library is None:
+            return self.solve_reference(size, sigmas)
+        count, own = len(self.sums.squares), self.sums
+        solved = Solved(np.empty((count, size)), np.empty((count, size)), np.empty(count))
+        given = (sigmas, own.H, own.g, own.squares, own.weights)
+        library.run(SolveRequest(count, size, *addresses_of(*given, *vars(solved).values())))
+        return solved
+
+    def solve_reference(self, size: int, sigmas: NDArray[np.float64]) -> Solved:
+        """The same in NumPy: the reference of the compiled kernel."""
         told = (self.sums.weights > 0).nonzero()[0]  # what is not seen stays as it was foretold
         known = np.linalg.inv(self.sums.H[told, :size, :size] + np.diag(1 / sigmas**2))
         g = self.sums.g[:, :size]

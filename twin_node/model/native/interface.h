@@ -7,7 +7,7 @@
 
 namespace model {
 
-constexpr int32_t kInterfaceVersion = 28;
+constexpr int32_t kInterfaceVersion = 29;
 
 constexpr int kRowsPerTask = 32;  // of an image whose pixels are independent
 

@@ -71,6 +71,8 @@ void model_find_pixels(const model::PixelsRequest *request) { model::find_pixels
 
 void model_gather_motion(const model::MotionRequest *request) { model::gather_motion(*request); }
 
+void model_solve_motions(const model::SolveRequest *request) { model::solve_motions(*request); }
+
 void model_nearest(const model::NearestRequest *request) { model::nearest(*request); }
 
 void model_publish(const model::PublishRequest *request) {

@@ -9,6 +9,7 @@
 
 #include "camera.h"
 #include "interface.h"
+#include "velocities.h"
 
 namespace model {
 
@@ -102,6 +103,35 @@ inline void gather_motion(const MotionRequest &r) {
     r.squares[node] += weight * squares;
     r.weights[node] += seen.weight;
   }
+}
+
+// The most likely motion of each node in its first N parameters; what is not seen stays as it was foretold.
+template <int N>
+void solve_motion(const SolveRequest &r) {
+  for (int64_t n = 0; n < r.count; n++) {
+    const double *H = r.H + kMotions * kMotions * n, *g = r.g + kMotions * n;
+    double *solution = r.solution + N * n, *variances = r.variances + N * n;
+    r.cost[n] = r.squares[n];
+    for (int k = 0; k < N; k++) solution[k] = 0, variances[k] = r.sigmas[k] * r.sigmas[k];
+    if (!(r.weights[n] > 0)) continue;
+    double known[N][N], L[N][N], R[N][N];
+    for (int i = 0; i < N; i++) {
+      for (int j = 0; j < N; j++) known[i][j] = H[kMotions * i + j] + (i == j ? 1 / variances[i] : 0);
+    }
+    decompose(known, L);
+    invert(L, R);
+    std::fill_n(variances, N, 0.);
+    for (int i = 0; i < N; i++) {
+      double along = 0;
+      for (int j = 0; j <= i; j++) along += R[i][j] * g[j];
+      for (int j = 0; j <= i; j++) solution[j] += R[i][j] * along, variances[j] += R[i][j] * R[i][j];
+    }
+    for (int k = 0; k < N; k++) r.cost[n] -= g[k] * solution[k];
+  }
+}
+
+inline void solve_motions(const SolveRequest &r) {
+  r.size == kTwist ? solve_motion<kTwist>(r) : solve_motion<kMotions>(r);
 }
 
 }  // namespace model

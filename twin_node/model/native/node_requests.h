@@ -209,4 +209,12 @@ struct MotionRequest {
   double *squares, *weights;  // [nodes] weighted squared errors, and weights without opacities; added to
 };
 
+// Normal equations of nodes, to be solved in their first `size` parameters: 6, a rigid motion, or 12, a strain besides.
+struct SolveRequest {
+  int64_t count, size;
+  const double *sigmas;                      // [size] that are expected, 1 sigma
+  const double *H, *g, *squares, *weights;   // as `MotionRequest` has added them up
+  double *solution, *variances, *cost;       // [count, size], [count, size], [count] written
+};
+
 }  // namespace model

@@ -42,8 +42,9 @@ inline void move_to(const double *H, const double *g, const double *at, double *
 }
 
 // The lower triangle L of a positive definite matrix, A = L L'.
-inline void decompose(const double (&A)[kTwist][kTwist], double (&L)[kTwist][kTwist]) {
-  for (int i = 0; i < kTwist; i++) {
+template <int N>
+void decompose(const double (&A)[N][N], double (&L)[N][N]) {
+  for (int i = 0; i < N; i++) {
     for (int j = 0; j <= i; j++) {
       double sum = A[i][j];
       for (int k = 0; k < j; k++) sum -= L[i][k] * L[j][k];
@@ -53,9 +54,10 @@ inline void decompose(const double (&A)[kTwist][kTwist], double (&L)[kTwist][kTw
 }
 
 // The inverse of a lower triangle.
-inline void invert(const double (&L)[kTwist][kTwist], double (&R)[kTwist][kTwist]) {
-  for (int j = 0; j < kTwist; j++) {
-    for (int i = 0; i < kTwist; i++) {
+template <int N>
+void invert(const double (&L)[N][N], double (&R)[N][N]) {
+  for (int j = 0; j < N; j++) {
+    for (int i = 0; i < N; i++) {
       double sum = i == j ? 1 : 0;
       for (int k = j; k < i; k++) sum -= L[i][k] * R[k][j];
       R[i][j] = i < j ? 0 : sum / L[i][i];
