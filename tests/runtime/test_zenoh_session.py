@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from pathlib import Path
 
 import pytest
 
@@ -41,6 +42,20 @@ def test_it_leaves_that_place_to_a_router_that_has_it(usual: ZenohParameters) ->
         assert router is not None
         with contextlib.closing(router), contextlib.closing(open_client(usual)) as command:
             assert command.info.routers_zid() == [first.info.zid()]
+
+
+def test_a_graph_does_without_shared_memory_where_there_is_none(
+    usual: ZenohParameters, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """In a read-only container zenoh opened neither, and the address of the router was said to be wrong."""
+    asked = []
+    monkeypatch.setattr(zenoh_session, "_open", asked.append)
+    for folder in (tmp_path, tmp_path / "missing"):
+        monkeypatch.setattr(zenoh_session, "SHARED_MEMORY", folder)
+        open_router(usual)
+        zenoh_session.open_session(usual)
+    found = [config.get_json("transport/shared_memory/enabled") for config in asked]
+    assert found == ["true", "true", "false", "false"]
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])

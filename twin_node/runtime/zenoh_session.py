@@ -6,6 +6,7 @@ import ipaddress
 import json
 import os
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 SESSION_CONFIG_VARIABLE = "ZENOH_SESSION_CONFIG_URI"
 ROUTER_CONFIG_VARIABLE = "ZENOH_ROUTER_CONFIG_URI"
 """Names of zenoh's own configuration files, as rmw_zenoh reads them."""
+SHARED_MEMORY = "/dev/shm"
+"""Where Linux has shared memory."""
 QUEUED_BATCHES = 16
 """Batches of 64 KiB that may wait on a session's link, zenoh's largest number (its default is 2): the images of three
 cameras come at once, and a receiver that is busy for a moment on this host must not cost one of them."""
@@ -52,7 +55,7 @@ class ZenohParameters:
     ros_distro: str = "jazzy"
     """Whose wire format is spoken: humble knows no type hashes, all later ones do."""
     shared_memory: bool = True
-    """Whether images go between processes of one host through shared memory."""
+    """Whether images go between processes of one host through shared memory, if there is any."""
 
     def __post_init__(self) -> None:
         if self.router not in ("auto", "builtin", "external"):
@@ -87,15 +90,16 @@ def open_client(parameters: ZenohParameters) -> Any:
     config = _given_session_config(parameters)
     config.insert_json5("mode", json.dumps("client"))
     config.insert_json5("listen/endpoints", json.dumps([]))
+    session, reason = None, ""
     try:
         session = _zenoh().open(config)
-    except _zenoh().ZError:
-        session = None
+    except _zenoh().ZError as error:
+        reason = f" ({_one_line(error)})"
     if session is None or not session.info.routers_zid():
         raise WireError(
             f"{parameters.endpoint}: expected a zenoh router there, or a place where one can be started, found "
-            "neither: what listens is no zenoh router, or the address is wrong; end it, or correct the address "
-            "(launch: zenoh: {endpoint})"
+            f"neither{reason}: what listens is no zenoh router, or the address is wrong; end it, or correct the "
+            "address (launch: zenoh: {endpoint})"
         )
     return session
 
@@ -154,7 +158,7 @@ def _session_config(parameters: ZenohParameters) -> Any:
             "mode": "peer",
             "connect/endpoints": [parameters.endpoint],
             "listen/endpoints": ["tcp/127.0.0.1:0"],
-            "transport/shared_memory/enabled": parameters.shared_memory,
+            "transport/shared_memory/enabled": parameters.shared_memory and _has_shared_memory(),
             "transport/link/tx/queue/size/data": QUEUED_BATCHES,
         }
     )
@@ -168,7 +172,19 @@ def _router_config(parameters: ZenohParameters) -> Any:
     joined = [router for router in parameters.routers if router]
     own = [f"{ROUTER_ENDPOINT}#exit_on_failure=false"] if _is_of_network(parameters.endpoint) else []
     listened = [parameters.endpoint, *own]
-    return _config({"mode": "router", "listen/endpoints": listened, "connect/endpoints": joined})
+    return _config(
+        {
+            "mode": "router",
+            "listen/endpoints": listened,
+            "connect/endpoints": joined,
+            "transport/shared_memory/enabled": _has_shared_memory(),
+        }
+    )
+
+
+def _has_shared_memory() -> bool:
+    """Whether this machine gives any: where it does not, in containers, zenoh opens no session that is to use it."""
+    return not sys.platform.startswith("linux") or os.access(SHARED_MEMORY, os.W_OK)
 
 
 def _is_of_network(endpoint: str) -> bool:
