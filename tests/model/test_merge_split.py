@@ -114,6 +114,13 @@ def test_neighbours_that_turn_about_one_axis_are_one_body_and_others_are_not() -
     assert not decided(cells, two)
 
 
+def test_what_goes_a_little_slower_than_its_neighbour_is_not_taken_for_part_of_it() -> None:
+    """One motion for both would cost less than what two more certain ones do: it must not err more than by chance."""
+    cells, velocities = row_of(6, [0, 0, 0, 1, 1, 1]), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    velocities[3:, 1] += 0.012
+    assert not decided(cells, velocities)
+
+
 def test_neighbours_merge_once_they_have_agreed_for_long_and_each_with_one_other_at_a_time() -> None:
     cells, about_one = row_of(6, [0, 0, 1, 1, 2, 2]), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
     assert not decided(cells, about_one, int(AGREED_S / DT_S))
@@ -233,6 +240,26 @@ def test_what_errs_throughout_a_body_is_no_second_one_and_what_parts_is() -> Non
     assert np.array_equal(found[1], half) or np.array_equal(found[1], ~half)
     assert lie_apart(centres, np.stack([throughout, half])).tolist() == [False, True]
     assert lie_apart(centres[:3], np.array([[True, False, True]])).all(), "three cells are too few to tell"
+
+
+def test_a_suspicion_that_tells_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It must tell more and more, or another cut is looked for without it."""
+    cells, asked = row_of(12, [0] * 12), []
+
+    def half(said: VelocityEquations, _: object, __: object, suspected: np.ndarray | None) -> np.ndarray | None:
+        asked.append(suspected is None)
+        return np.arange(len(said)) < 6 if suspected is None else None
+
+    monkeypatch.setattr(merge_split, "halves_of", half)
+    decided(cells, np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (12, 1)), 30)
+    assert sum(asked) > 4
+    assert sum(asked) < 15, "nor at once"
+
+
+def test_what_parts_slowly_is_told_by_what_comes_and_not_by_what_has_long_been_said() -> None:
+    cells, slowly = row_of(6, [0] * 6), np.tile([0.1, 0.0, 0.0, 0.0, 0.0, 0.8], (6, 1))
+    slowly[4:, 1] -= 0.025
+    assert [one for one in decided(cells, slowly, 8) if isinstance(one, Split)]
 
 
 def test_compiled_halves_are_the_plain_ones() -> None:
