@@ -113,7 +113,8 @@ class MapParameters:
     """How what stands still is refined beside the tracking."""
 
     steps: int = 2
-    """Steps per set; 0: STATIC Gaussians keep the shape that the first set gave them."""
+    """Steps per set, and one where sets have waited of late; 0: STATIC Gaussians keep the shape that the first set gave
+    them."""
     tries: int = 30
     """Looks at a pixel, one per camera in turn, after which what steps have left over is taken for all that can be."""
     calm_s: float = 0.15
