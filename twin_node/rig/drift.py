@@ -176,7 +176,7 @@ class _Watched:
             self._judge_motion(motion, stamp, seconds, parameters)
         if self.suspected != Verdict.BUMPED and self.drift.trusted:
             self.landmarks.drop_strays(now)
-            self._renew(image, valid, parameters)
+            self._renew(image, valid, motion is not None, parameters)
 
     def _judge_motion(self, motion: CommonMotion, stamp: int, seconds: float, parameters: DriftParameters) -> None:
         off = _degrees(motion.turn) > parameters.angle_deg and motion.residual_px > parameters.least_px
@@ -219,12 +219,17 @@ class _Watched:
         angle_deg = _degrees(turn)
         self.drift = Drift(self.camera.name, told, pixels, angle_deg, features, since, slow, self.measures_depth)
 
-    def _renew(self, image: UInt8, valid: Bool | None, parameters: DriftParameters) -> None:
-        """New landmarks where few are left, or where none was ever found again: the watch began in the dark."""
-        if self.landmarks.proven and len(self.landmarks) >= 2 * parameters.least_features:
+    def _renew(self, image: UInt8, valid: Bool | None, stands: bool, parameters: DriftParameters) -> None:
+        """New landmarks where none was ever found again, for the watch began in the dark; and where few are left.
+
+        Then only of a camera that `stands`, as they tell, or too few to tell are left: else what covers it, or what it
+        sees once it was moved, would be where it belongs.
+        """
+        proven, count, least = self.landmarks.proven, len(self.landmarks), parameters.least_features
+        if proven and (count >= 2 * least or (count >= least and not stands)):
             return
         fresh = Landmarks(image, valid, self.camera.K, self.creep.turn)
-        if not self.landmarks.proven or len(fresh) > 2 * len(self.landmarks):
+        if not proven or len(fresh) > 2 * count or count < least <= len(fresh):
             self.landmarks = fresh
 
 
