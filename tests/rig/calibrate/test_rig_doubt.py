@@ -61,6 +61,20 @@ def test_a_camera_that_was_moved_or_whose_clock_was_set_half_way_is_named(fault:
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
+def test_a_camera_that_was_turned_about_its_own_centre_is_told_to_stand_where_it_stood() -> None:
+    """Turned by half a degree, 1.8 m from the first camera, it was told to be 18 mm off."""
+    places = around(3)
+    turned = places[1] @ pose(Rotation.from_rotvec([0, 0.01, 0]).as_matrix(), np.zeros(3))
+    cameras = [
+        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i)), lens=a_lens())
+        for i, T in enumerate(places)
+    ]
+    later = record(BOARD, a_lens(), turned, "cam1", np.random.default_rng(1))
+    cameras[1] = replace(cameras[1], found=(*cameras[1].found[:60], *later.found[60:]))
+    with pytest.raises(RigError, match=r"camera cam1: .* found its later images [0-3] mm, 0\.[56] degrees"):
+        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
 @pytest.mark.parametrize(("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place")])
 def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, by: float, told: str) -> None:
     """Split at the middle alone it was accepted, or all of its last images were left out: 100 mm off from then on."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import cross
+from twin_node.geometry import cross, inverse_pose
 from twin_node.scene import Float64
 
 
@@ -43,6 +43,17 @@ def moved(T: Float64, change: Float64) -> Float64:
     )
     out[..., :3, 3] += change[..., 3:]
     return out
+
+
+def apart(a: Float64, b: Float64) -> tuple[Float64, Float64]:
+    """How far apart two cameras stand [...] (m), and by how much else they look [...] (rad).
+
+    `a` and `b` [..., 4, 4] map to their optical frames.
+    """
+    shift = np.linalg.norm(inverse_pose(a)[..., :3, 3] - inverse_pose(b)[..., :3, 3], axis=-1)
+    turned = a[..., :3, :3] @ b[..., :3, :3].swapaxes(-1, -2)
+    turn = Rotation.from_matrix(turned.reshape(-1, 3, 3)).magnitude().reshape(turned.shape[:-2])
+    return np.asarray(shift), np.asarray(turn)
 
 
 def quat_product(a: Float64, b: Float64) -> Float64:

@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.geometry import pose, transform
 from twin_node.rig.calibrate.bundle import BundleResult
 from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
 from twin_node.rig.calibrate.lenses import Lens, pixel_rays, project
+from twin_node.rig.calibrate.rotations import apart
 from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, Witnesses
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float64
@@ -95,12 +96,10 @@ def _splits(witnesses: Witnesses, camera: int) -> list[Split]:
 def _split(witnesses: Witnesses, camera: int, late: Bool) -> Split:
     """What a camera's `late` [V] images would gain."""
     other, two = len(witnesses.bundle.state.lenses), witnesses.divided(camera, late)
-    moved, later = two.change.outer[two.layout.camera(other)], two.change.outer[two.layout.clock(other)][:1].sum()
-    if camera > 0:
-        moved = moved - two.change.outer[two.layout.camera(camera)]
-        later -= two.change.outer[two.layout.clock(camera)][:1].sum()
-    shift_m, turn_rad = (float(np.linalg.norm(part)) for part in (moved[3:], moved[:3]))
-    return Split(camera, late, two.gain - witnesses.undivided.gain, shift_m, turn_rad, float(later))
+    there, later = two.place(other), two.change.outer[two.layout.clock(other)][:1].sum()
+    later -= two.change.outer[two.layout.clock(camera)][:1].sum()
+    shift_m, turn_rad = apart(two.place(camera), there)
+    return Split(camera, late, two.gain - witnesses.undivided.gain, float(shift_m), float(turn_rad), float(later))
 
 
 def _without_worst_image(witnesses: Witnesses, split: Split) -> Split:
@@ -140,8 +139,7 @@ def _elsewhere(bundle: BundleResult, camera: int) -> int:
     there = _place_of_most(lens, corners, pixels, tolerance_px)
     if there is None:
         return 0
-    shift_m = np.linalg.norm(inverse_pose(there)[:3, 3] - inverse_pose(here)[:3, 3])
-    turn_rad = Rotation.from_matrix(there[:3, :3] @ here[:3, :3].T).magnitude()
+    shift_m, turn_rad = apart(here, there)
     if shift_m < MOVED_M and turn_rad < MOVED_RAD:
         return 0
     ends = np.cumsum([len(sighting.corners) for sighting in lost])[:-1]

@@ -11,6 +11,7 @@ import numpy as np
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Layout, Sighting
 from twin_node.rig.calibrate.bundle_equations import BundleEquations, Change
 from twin_node.rig.calibrate.bundle_problem import BundleProblem
+from twin_node.rig.calibrate.rotations import apart, moved
 from twin_node.scene import Bool, Float64
 
 MOST_GAIN = 25.0
@@ -35,6 +36,13 @@ class Step:
     gain: float
     """Half the sum of squares, in sigmas, that it would be less by."""
     layout: Layout
+    T_cam_rig: Float64
+    """[C, 4, 4] of the cameras before it, optical frames."""
+
+    def place(self, camera: int) -> Float64:
+        """[4, 4] `T_cam_rig` of a camera after it."""
+        change = self.change.outer[self.layout.camera(camera)]
+        return moved(self.T_cam_rig[camera], change) if len(change) else self.T_cam_rig[camera]
 
 
 @dataclass(frozen=True)
@@ -99,8 +107,9 @@ class Witnesses:
         everyone = [*range(len(self.bundle.state.lenses))]
         about = self._about(everyone, self.sightings, lenses=True)
         change, covariance = about.equations.solution(DAMPING).outer, about.equations.normal.outer_covariance()
-        moved = change[: 6 * (len(everyone) - 1)].reshape(-1, 6)
-        turn_rad, shift_m = (np.linalg.norm(moved[:, part], axis=1).max() for part in (slice(3), slice(3, 6)))
+        before = self.bundle.state.T_cam_rig[1:]
+        after = moved(before, change[: 6 * len(before)].reshape(-1, 6))
+        shift_m, turn_rad = (figure.max() for figure in apart(before, after))
         out = []
         for i, lens in enumerate(self.bundle.state.lenses):
             own = about.layout.lens(i)
@@ -111,7 +120,8 @@ class Witnesses:
     def _step(self, cameras: Sequence[int], sightings: Sequence[Sighting]) -> Step:
         about = self._about(cameras, sightings)
         change, (inner, outer) = about.equations.solution(DAMPING), about.equations.normal.slopes
-        return Step(change, 0.5 * float(change.inner @ inner + change.outer @ outer), about.layout)
+        gain = 0.5 * float(change.inner @ inner + change.outer @ outer)
+        return Step(change, gain, about.layout, self.bundle.state.T_cam_rig[cameras])
 
     def _about(self, cameras: Sequence[int], sightings: Sequence[Sighting], lenses: bool = False) -> _About:
         """The equations about the bundle's state, of cameras that are as `cameras` of it are."""
@@ -144,8 +154,8 @@ def _unlike(bundle: BundleResult) -> Bool:
         sighting = bundle.sightings[view]
         pixels = np.full((len(bundle.state.points), 2), np.nan)
         pixels[sighting.corners.ids] = sighting.corners.pixels
-        moved = np.linalg.norm(pixels - before.get(sighting.camera, np.full_like(pixels, np.nan)), axis=1)
-        unlike[view] = not np.isfinite(moved).any() or np.nanmedian(moved) > LIKE_PX
+        off = np.linalg.norm(pixels - before.get(sighting.camera, np.full_like(pixels, np.nan)), axis=1)
+        unlike[view] = not np.isfinite(off).any() or np.nanmedian(off) > LIKE_PX
         if unlike[view]:
             before[sighting.camera] = pixels
     return unlike
