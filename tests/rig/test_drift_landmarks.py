@@ -74,3 +74,23 @@ def test_landmarks_that_are_too_few_for_a_verdict_are_replaced_by_enough() -> No
     said = watched([before] * 4 + [after] * 16)
     assert {drift.verdict for drift in said} == {Verdict.STEADY}
     assert said[-1].features > 15
+
+
+def test_depth_that_begins_later_is_depth_that_the_camera_measures() -> None:
+    watch, depth = DriftWatch(), np.ones((HEIGHT, WIDTH), np.float32)
+    said = []
+    for number, measured in enumerate([None, None, depth, None]):
+        view = View(CAMERA, number * STEP_NS, plain_wall(), measured)
+        said.append(watch.update(FrameSet(view.stamp, (view,))).drifts[0].measures_depth)
+    assert said == [False, False, True, True]
+
+
+def test_a_camera_is_looked_at_once_in_a_period() -> None:
+    watch = DriftWatch(DriftParameters(period_ms=200.0, confirm=1))
+    said = []
+    for milliseconds, image in [(0, plain_wall()), (199, np.roll(plain_wall(), 4, axis=1)), (200, plain_wall())]:
+        stamp = milliseconds * 1_000_000
+        said.append(watch.update(FrameSet(stamp, (View(CAMERA, stamp, image),))).drifts[0].verdict)
+    assert said == [Verdict.STEADY] * 3
+    moved = View(CAMERA, 400_000_000, np.roll(plain_wall(), 4, axis=1))
+    assert watch.update(FrameSet(moved.stamp, (moved,))).drifts[0].verdict is Verdict.BUMPED
