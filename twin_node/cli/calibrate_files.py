@@ -117,8 +117,8 @@ def _check(options: argparse.Namespace) -> int:
             print(f"what moves fits together by {verdict.agreement:.2f} (1: fully, 0: by chance)")
     if verdict.unseen:
         warn(
-            f"not judged: {', '.join(verdict.unseen)}, which saw the board never together with another camera; check "
-            "the clocks (time_offset), or record it where two see it"
+            f"not judged: {', '.join(verdict.unseen)}, which saw nothing when another camera did; check the clocks "
+            "(time_offset), or record it where two see it"
         )
     if not untold:
         return UNTOLD_STATUS if verdict.unseen else 0

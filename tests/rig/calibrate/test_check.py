@@ -136,6 +136,19 @@ def without_depth(sets: Sequence[FrameSet]) -> list[FrameSet]:
     return [replace(s, views=tuple(replace(view, depth=None) for view in s.views)) for s in sets]
 
 
+def test_a_camera_that_is_in_no_set_is_told_and_the_others_are_judged() -> None:
+    """A wrong time_offset, which is one of the mistakes to find, ended the command with a trace."""
+    rig, sets = recorded(1)
+    assert len(rig.cameras) > 2
+    late = rig.cameras[-1].name
+    without = [replace(s, views=tuple(v for v in s.views if v.camera.name != late)) for s in without_depth(sets)]
+    verdict = check_against_recording(rig, without)
+    assert not verdict.findings
+    assert verdict.unseen == (late,)
+    assert verdict.agreement is not None and verdict.agreement > 0.35
+    assert check_against_recording(rig, without_depth(sets)).unseen == ()
+
+
 @pytest.mark.parametrize("seed", [1, 9])
 def test_what_moves_names_every_mistake_and_accuses_no_intact_rig(seed: int) -> None:
     true, seen = recorded(seed)

@@ -55,7 +55,7 @@ class Verdict:
     agreement: float | None = None
     """How well the rig explains the motion of a recording, 0 to 1; None where that was not looked at."""
     unseen: tuple[str, ...] = ()
-    """Cameras that saw a board never together with another one: nothing is known of them."""
+    """Cameras that saw nothing together with another one: nothing but their numbers is known of them."""
 
 
 def check_numbers(rig: Rig) -> Verdict:
@@ -101,11 +101,19 @@ def check_against_recording(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | 
     """What an ordinary recording tells: `sets` of raw images of any size, with the arm's joints where `arm` is given.
 
     What moves tells wrong poses and lenses; measured depth and the arm tell the unit, which else the numbers do as far
-    as they can.
+    as they can. Cameras that are in no set are judged by their numbers alone.
     """
     by_numbers = check_numbers(rig)
     if any(finding.mistake in (Mistake.UNITS, Mistake.RESOLUTION) for finding in by_numbers.findings):
         return by_numbers
+    shown = {view.camera.name for frames in sets for view in frames.views}
+    seeing = replace(rig, cameras=tuple(camera for camera in rig.cameras if camera.name in shown))
+    unseen = tuple(camera.name for camera in rig.cameras if camera.name not in shown)
+    return replace(_against_sets(seeing, sets, arm, by_numbers), unseen=unseen)
+
+
+def _against_sets(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None, by_numbers: Verdict) -> Verdict:
+    """What sets tell in which every camera of the rig has images; `by_numbers`: what the numbers do."""
     barcodes = Barcodes(rig, sets)
     if not barcodes.tells or len(rig.cameras) < 2:
         found = _of_other_unit(rig, sets, arm)
