@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, looking_at, pose, transform
-from twin_node.rig.calibrate.barcodes import BLOCKS, LEAST_SETS, Barcodes
+from twin_node.rig.calibrate.barcodes import BLOCKS, LEAST_SETS, Barcodes, _correlation
 from twin_node.rig.calibrate.lenses import raw_pixels
 from twin_node.scene import Camera, Float64, FrameSet, Rig, RigCamera, UInt8, View
 
@@ -31,10 +31,10 @@ def a_rig(cameras: int = 3) -> Rig:
     )
 
 
-def seen(camera: RigCamera, balls: Float64, scale: int) -> UInt8:
-    """What a camera sees of balls [N, 3], at its resolution divided by `scale`."""
+def seen(camera: RigCamera, balls: Float64, scale: int, wall: int) -> UInt8:
+    """What a camera sees of balls [N, 3] before a wall so bright, at its resolution divided by `scale`."""
     rng = np.random.default_rng(0)
-    image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    image = np.full((HEIGHT, WIDTH, 3), wall, np.uint8)
     local = transform(inverse_pose(camera.T_base_cam), balls)
     for (x, y), depth in zip(raw_pixels(camera, local), local[:, 2], strict=True):
         cv2.circle(image, (round(8 * x), round(8 * y)), round(8 * 10 / depth), (200, 60, 40), -1, shift=3)
@@ -43,7 +43,7 @@ def seen(camera: RigCamera, balls: Float64, scale: int) -> UInt8:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def recorded(rig: Rig, sets: int = 24, scale: int = 1, moves: bool = True) -> list[FrameSet]:
+def recorded(rig: Rig, sets: int = 24, scale: int = 1, moves: bool = True, wall: int = 90) -> list[FrameSet]:
     """Two balls that fly about."""
     out = []
     for n in range(sets):
@@ -52,7 +52,7 @@ def recorded(rig: Rig, sets: int = 24, scale: int = 1, moves: bool = True) -> li
         views = []
         for camera in rig.cameras:
             known = Camera(camera.name, WIDTH, HEIGHT, camera.K, camera.T_base_cam)
-            views.append(View(known, n, seen(camera, balls, scale)))
+            views.append(View(known, n, seen(camera, balls, scale, wall)))
         out.append(FrameSet(n, tuple(views)))
     return out
 
@@ -69,10 +69,10 @@ def turned(rig: Rig, number: int, rotvec_deg: Sequence[float]) -> Rig:
     return with_pose(rig, number, rig.cameras[number].T_base_cam @ turn)
 
 
-@pytest.mark.parametrize("scale", [1, 2])
-def test_a_true_rig_explains_what_moves_at_any_size_of_the_images(scale: int) -> None:
+@pytest.mark.parametrize(("scale", "wall"), [(1, 90), (2, 90), (1, 5), (1, 251)])
+def test_a_true_rig_explains_what_moves_at_any_size_and_brightness_of_the_images(scale: int, wall: int) -> None:
     rig = a_rig()
-    barcodes = Barcodes(rig, recorded(rig, scale=scale))
+    barcodes = Barcodes(rig, recorded(rig, scale=scale, wall=wall))
     assert barcodes.tells
     agreement = barcodes.agreement(rig)
     assert agreement.shape == (BLOCKS,)
@@ -113,5 +113,27 @@ def test_where_nothing_moves_or_too_few_images_are_nothing_is_told() -> None:
     rig = a_rig()
     assert not Barcodes(rig, recorded(rig, moves=False)).tells
     assert not Barcodes(rig, recorded(rig, sets=LEAST_SETS - 1)).tells
+    assert Barcodes(rig, recorded(rig, sets=LEAST_SETS)).tells
     alone = [replace(frames, views=frames.views[:1]) for frames in recorded(rig, sets=12)]
     assert not Barcodes(rig, alone).tells
+
+
+def test_what_moves_before_each_camera_by_itself_fits_no_better_than_by_chance() -> None:
+    rig = a_rig()
+    own = [recorded(rig, sets=48)[i * 12 : i * 12 + 24] for i in range(3)]
+    mixed = [replace(own[0][n], views=tuple(own[i][n].views[i] for i in range(3))) for n in range(24)]
+    assert Barcodes(rig, mixed).agreement(rig).mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("table", "phi"),
+    [
+        ((4, 1, 2, 3), 10 / np.sqrt(5 * 6 * 4 * 5)),
+        ((5, 0, 0, 5), 1),
+        ((0, 5, 5, 0), -1),
+        ((1, 1, 1, 1), 0),
+        ((5, 0, 0, 0), 0),
+    ],
+)
+def test_the_correlation_is_matthews_s(table: Sequence[float], phi: float) -> None:
+    assert _correlation(np.array(table, dtype=np.float64)) == pytest.approx(phi)
