@@ -10,27 +10,27 @@ from twin_node.rig.calibrate.birds_eye import Sheet
 from twin_node.rig.calibrate.ground_matches import MAX_SHIFT_PX, GroundMap, agreed_map, measured
 from twin_node.scene import Bool, Float32, Float64
 
-SIZE = 240
-TRUE = np.array([[1.015, -0.01, 9.5], [0.012, 0.99, -13.25]])
+WIDTH, HEIGHT = 270, 240
+TRUE = np.array([[1.015, -0.03, 24.5], [0.028, 0.99, -23.25]])
 """Sheet pixels of a to those of b."""
 
 
 def ground(seed: int = 0) -> Float32:
     rng = np.random.default_rng(seed)
-    blobs = cv2.GaussianBlur(rng.normal(0, 1, (SIZE, SIZE)), (0, 0), 2.5)
+    blobs = cv2.GaussianBlur(rng.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 2.5)
     return np.asarray(0.15 * blobs / blobs.std(), np.float32)
 
 
 def known(margin: int = 0) -> Bool:
-    out = np.zeros((SIZE, SIZE), np.bool_)
-    out[margin : SIZE - margin, margin : SIZE - margin] = True
+    out = np.zeros((HEIGHT, WIDTH), np.bool_)
+    out[margin : HEIGHT - margin, margin : WIDTH - margin] = True
     return out
 
 
 def seen_under(affine: Float64, image: Float32, noise: float = 0.02) -> Sheet:
     """The sheet of b, where that of a is `image`."""
-    moved = cv2.warpAffine(image, affine, (SIZE, SIZE), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    inside = cv2.warpAffine(np.ones_like(image), affine, (SIZE, SIZE), flags=cv2.INTER_LINEAR) > 0.99
+    moved = cv2.warpAffine(image, affine, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    inside = cv2.warpAffine(np.ones_like(image), affine, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR) > 0.99
     noisy = moved + np.random.default_rng(5).normal(0, noise, moved.shape)
     return Sheet((noisy * inside).astype(np.float32), inside)
 
@@ -53,7 +53,7 @@ def test_the_map_is_found_and_is_the_only_one() -> None:
 
 
 def test_a_pattern_that_repeats_has_a_rival_that_fits_as_well() -> None:
-    x, y = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    x, y = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     tiles = (0.2 * np.sin(2 * np.pi * x / 12) * np.sin(2 * np.pi * y / 12)).astype(np.float32)
     shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -2.0]])
     agreed = agreed_map(Sheet(tiles, known()), seen_under(shift, tiles, noise=0.03))
@@ -93,7 +93,7 @@ def test_patches_that_show_something_else_are_left_out() -> None:
     assert np.abs(matches.b - under(TRUE, matches.a)).max() < 2.0
     assert not ((matches.b > [94, 84]) & (matches.b < [136, 126])).all(axis=1).any()
     strange = measured(Sheet(ground(), known()), seen_under(TRUE, ground(1)), TRUE)
-    assert len(strange.a) < 10
+    assert len(strange.a) < 20
 
 
 def test_nothing_is_measured_where_one_does_not_know() -> None:
