@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -43,7 +43,7 @@ class RigFit:
 
 
 def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
-    """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied.
+    """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied to videos.
 
     Raises `RigError` where a recording is of a camera that the rig does not have, or of another size, or where no two
     saw the board at once.
@@ -62,14 +62,22 @@ def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecordin
                 f"found {recording.size[0]}x{recording.size[1]}; use the calibration of this resolution"
             )
     order = [names.index(recording.name) for recording in recordings]
-    stamps = set_stamps(recordings)
-    own = np.array([[rig.cameras[i].own_time(int(stamp)) for stamp in stamps] for i in order])
-    seen = [Sighting(order[s.camera], s.board, s.corners) for s in simultaneous(board, recordings, stamps, own)]
+    timed = [_by_rig_clock(recording, rig.cameras[i]) for recording, i in zip(recordings, order, strict=True)]
+    stamps = set_stamps(timed)
+    together = simultaneous(board, timed, stamps, np.tile(stamps, (len(timed), 1)))
+    seen = [Sighting(order[s.camera], s.board, s.corners) for s in together]
     counts = np.bincount([s.board for s in seen]) if seen else np.zeros(1)
     shared = tuple(s for s in seen if counts[s.board] > 1)
     if not shared:
         raise RigError("recordings: expected the board in images of two cameras at once, found none; check the stamps")
     return shared
+
+
+def _by_rig_clock(recording: CameraRecording, camera: RigCamera) -> CameraRecording:
+    """A video with the rig's stamps; stills as they are: their numbers say which belong together, no clock does."""
+    if not recording.moving:
+        return recording
+    return replace(recording, stamps=np.array([camera.rig_time(stamp) for stamp in recording.stamps.tolist()]))
 
 
 class BoardViews:

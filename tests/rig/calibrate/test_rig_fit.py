@@ -1,0 +1,137 @@
+"""How well a given rig explains a board: at which times it is held against it, and in which place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from simulated_boards import Spoiled, a_lens, around, record
+from simulated_rigs import BOARD
+
+from twin_node.geometry import pose
+from twin_node.rig import RigError
+from twin_node.rig.calibrate.rig_fit import RigFit, common_sightings, fit, settled
+from twin_node.rig.calibrate.tracks import CameraRecording
+from twin_node.scene import Rig, RigCamera
+
+CLOCKS_S = (0.0, 0.05, -0.03)
+NOISE_PX = 0.2
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[CameraRecording]:
+    return [
+        record(
+            BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), Spoiled(NOISE_PX, 0.0, CLOCKS_S[i]), seconds=6.0
+        )
+        for i, T in enumerate(around(3))
+    ]
+
+
+def a_rig(clocks_s: Sequence[float] = CLOCKS_S, rate_ppm: float = 0.0) -> Rig:
+    lens = a_lens()
+    return Rig(
+        tuple(
+            RigCamera(
+                f"cam{i}",
+                lens.width,
+                lens.height,
+                lens.K,
+                T,
+                lens.distortion_model,
+                lens.D,
+                time_offset_ns=round(1e9 * clock),
+                time_rate_ppm=rate_ppm,
+                time_reference_ns=10**11,
+            )
+            for i, (T, clock) in enumerate(zip(around(3), clocks_s, strict=True))
+        )
+    )
+
+
+def misfit(result: RigFit) -> float:
+    return float(np.median(np.linalg.norm(np.concatenate(result.residuals), axis=1)))
+
+
+@pytest.mark.parametrize("ahead_s", [-7200.0, 0.5, 3.0])
+def test_how_far_the_rig_s_clock_is_from_all_cameras_is_no_matter(
+    recordings: list[CameraRecording], ahead_s: float
+) -> None:
+    """Ahead by 3 s, half of what two cameras saw was not used; by more than the recording, a good rig was refused."""
+    expected = common_sightings(BOARD, a_rig(), recordings)
+    rig = a_rig([clock + ahead_s for clock in CLOCKS_S])
+    seen = common_sightings(BOARD, rig, recordings)
+    assert [(s.camera, s.board) for s in seen] == [(s.camera, s.board) for s in expected]
+    assert misfit(fit(BOARD, rig, seen)) < 0.4
+
+
+def test_clocks_of_the_rig_are_applied_the_right_way_round(recordings: list[CameraRecording]) -> None:
+    right = misfit(fit(BOARD, a_rig(), common_sightings(BOARD, a_rig(), recordings)))
+    wrong = a_rig([-clock for clock in CLOCKS_S])
+    assert right < 0.4
+    assert misfit(fit(BOARD, wrong, common_sightings(BOARD, wrong, recordings))) > 5 * right
+
+
+def test_stills_of_one_number_belong_together_whatever_the_clocks() -> None:
+    """A rig whose clocks were found in a video was refused over pictures: none was of the same time any more."""
+    films = [
+        record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(7), Spoiled(NOISE_PX), seconds=40, rate_hz=0.5)
+        for i, T in enumerate(around(3))
+    ]
+    stills = [replace(film, stamps=np.arange(len(film.found)) * 10**9, moving=False) for film in films]
+    seen = common_sightings(BOARD, a_rig(), stills)
+    assert len(seen) > 20
+    assert misfit(fit(BOARD, a_rig(), seen)) < 0.4
+
+
+def test_recordings_may_come_in_any_order(recordings: list[CameraRecording]) -> None:
+    rig = a_rig()
+    seen = common_sightings(BOARD, rig, [recordings[2], recordings[0]])
+    assert {s.camera for s in seen} == {0, 2}
+    assert misfit(fit(BOARD, rig, seen)) < 0.4
+
+
+def test_a_camera_that_the_rig_lacks_is_named(recordings: list[CameraRecording]) -> None:
+    with pytest.raises(RigError, match=r"camera front: expected one of the rig file \(cam0, cam1, cam2\)"):
+        common_sightings(BOARD, a_rig(), [*recordings[:2], replace(recordings[2], name="front")])
+    with pytest.raises(RigError, match="expected the board in images of two cameras at once, found none"):
+        common_sightings(BOARD, a_rig(), recordings[:1])
+
+
+def turned(rig: Rig, number: int, degrees: float) -> Rig:
+    turn = pose(Rotation.from_rotvec([0, np.radians(degrees), 0]).as_matrix(), np.zeros(3))
+    moved = replace(rig.cameras[number], T_base_cam=rig.cameras[number].T_base_cam @ turn)
+    return replace(rig, cameras=tuple(moved if i == number else camera for i, camera in enumerate(rig.cameras)))
+
+
+def test_a_camera_that_is_off_fits_worst_by_as_many_pixels(recordings: list[CameraRecording]) -> None:
+    off_px = a_lens().K[0, 0] * np.radians(0.5)
+    rig = turned(a_rig(), 1, 0.5)
+    seen = common_sightings(BOARD, rig, recordings)
+    rough = fit(BOARD, rig, seen)
+    assert len(rough.sightings) == len(seen)
+    own = [rough.of_camera(number) for number in range(3)]
+    assert all(one is not None for one in own)
+    medians = [float(np.median(np.linalg.norm(one, axis=1))) for one in own if one is not None]
+    assert max(medians) == pytest.approx(off_px, rel=0.25)
+    assert np.argmax(medians) == 1
+    whole = np.concatenate([r for s, r in zip(rough.sightings, rough.residuals, strict=True) if s.camera == 1])
+    np.testing.assert_array_equal(rough.of_camera(1), whole)
+    assert RigFit((), ()).of_camera(0) is None
+
+
+def test_a_settled_board_lies_where_all_cameras_put_it_and_fits_better(recordings: list[CameraRecording]) -> None:
+    rig = a_rig()
+    few = [s for s in common_sightings(BOARD, rig, recordings) if s.board < 20]
+    rough = fit(BOARD, rig, few)
+    better = settled(BOARD, rig, rough)
+    assert better.sightings == rough.sightings
+    assert misfit(better) < 0.95 * misfit(rough)
+    assert 0.15 < misfit(better) < NOISE_PX * np.sqrt(2 * np.log(2))  # Rayleigh's median; between images less is left
+    off = turned(rig, 1, 0.2)
+    spread = settled(BOARD, off, fit(BOARD, off, few))
+    apart = [float(np.median(np.linalg.norm(spread.of_camera(number), axis=1))) for number in range(3)]
+    assert max(apart) < a_lens().K[0, 0] * np.radians(0.2)
