@@ -76,7 +76,7 @@ def solve_bundle(
     for _ in range(ROUNDS):
         look, before, jitter = minimise(problem, look, kept, noise, ROUGHLY), kept, problem.jitter
         noise = _noise(look.residuals, kept, problem.camera, len(noise))
-        kept = _inliers(look.residuals, problem.seen, noise[problem.camera])
+        kept = _of_every_camera(_inliers(look.residuals, problem.seen, noise[problem.camera]), kept, problem.camera)
         problem.measure_board(look.state)
         problem.measure_motion(look, kept, noise)
         steady = np.allclose(problem.jitter, jitter, rtol=STEADY, atol=STEADY_S)
@@ -174,6 +174,12 @@ def _inliers(residuals: Float64, seen: Bool, noise_px: Float64) -> Bool:
     counts = fits.sum(1)
     fits[(counts < LEAST_CORNERS) | (counts < LEAST_SHARE * seen.sum(1))] = False
     return np.asarray(fits)
+
+
+def _of_every_camera(fits: Bool, before: Bool, camera: NDArray[np.int64]) -> Bool:
+    """[V, P] corners that fit; of cameras of which none does those kept before: they hold it, and tell of it."""
+    lost = ~np.isin(camera, camera[fits.any(axis=1)])
+    return np.where(lost[:, None], before, fits)
 
 
 def _noise(residuals: Float64, kept: Bool, camera: NDArray[np.int64], cameras: int) -> Float64:
