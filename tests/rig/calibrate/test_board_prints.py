@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,8 @@ BOARDS: list[Board] = [
     Chessboard(6, 5, 0.02),
     CharucoBoard(6, 5, 0.025, 0.018),
     CharucoBoard(5, 7, 0.02, 0.015, "DICT_5X5_100", inverted=True),
+    CharucoBoard(5, 6, 0.025, 0.018, legacy=True),
+    CharucoBoard(6, 5, 0.025, 0.018, legacy=True),
     AprilGrid(4, 3, 0.03, 0.3),
     CircleGrid(7, 6, 0.02),
     CircleGrid(4, 7, 0.02, asymmetric=True),
@@ -85,3 +88,25 @@ def test_a_small_boards_page_has_room_for_the_bar_that_is_to_be_measured() -> No
     width, height = draw_board(Chessboard(3, 3, 0.005)).page_m
     assert width == pytest.approx(0.1 + 2 * 0.014)
     assert height == pytest.approx(0.02 + 2 * 0.005 + 0.014)
+
+
+@pytest.mark.parametrize("board", [BOARDS[0], BOARDS[2], Chessboard(3, 3, 0.005)], ids=str)
+def test_the_bar_on_the_page_is_as_long_as_the_page_says(board: Board, tmp_path: Path) -> None:
+    drawing = print_board(board, tmp_path / "board.png")
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    below = round((drawing.height + 2 * drawing.margin + 0.0045) * DPI / INCH_M)
+    dark = np.flatnonzero(picture[below] < 128)
+    assert len(dark) == dark[-1] - dark[0] + 1
+    assert len(dark) * INCH_M / DPI == pytest.approx(0.1, abs=2 * INCH_M / DPI)
+
+
+@pytest.mark.parametrize("board", [BOARDS[0], BOARDS[3]], ids=str)
+def test_a_page_to_print_has_its_size_in_its_file(board: Board, tmp_path: Path) -> None:
+    width, height = print_board(board, tmp_path / "board.svg").page_m
+    print_board(board, tmp_path / "board.pdf")
+    in_points = (width / INCH_M * 72, height / INCH_M * 72)
+    told = re.search(rb'width="([0-9.]+)pt" height="([0-9.]+)pt"', (tmp_path / "board.svg").read_bytes())
+    box = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+) ([0-9.]+) \]", (tmp_path / "board.pdf").read_bytes())
+    for found in (told, box):
+        assert found is not None
+        np.testing.assert_allclose([float(n) for n in found.groups()], in_points, atol=0.01)
