@@ -12,7 +12,7 @@ from test_bundle_adjustment import a_moving_state, a_still_state, sightings_of
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, BundleState, Sighting
-from twin_node.rig.calibrate.bundle_solver import solve_bundle
+from twin_node.rig.calibrate.bundle_solver import board_pays, solve_bundle
 from twin_node.rig.calibrate.lenses import project
 from twin_node.scene import Float64
 
@@ -110,3 +110,30 @@ def test_a_camera_of_which_no_image_fits_is_left_in_to_be_named(moving: bool) ->
     assert np.isfinite(result.state.T_cam_rig).all()
     assert np.abs(np.concatenate(of_second)[:, 1]).max() > 10
     assert all(s.camera == 1 for s in result.left_out)
+
+
+@pytest.mark.parametrize(
+    ("shape", "price"),
+    [
+        (4, 4 / 2 * np.log(640)),  # what a sheet's numbers must explain, of 320 corners
+        (60, 54 / 2 * np.log(640)),  # twenty corners, less where the board as a whole is
+    ],
+)
+def test_a_board_of_another_shape_pays_from_schwarz_s_criterion_on(shape: int, price: float) -> None:
+    state = a_still_state("plumb_bob", sets=8)
+    seen = sightings_of(state, np.random.default_rng(0))
+    one = solve_bundle(state, seen, FIXED)
+    rng = np.random.default_rng(1)
+    residuals = [0.1 * one.noise_px[s.camera] * rng.choice([-1, 1], (20, 2)) for s in seen]
+    rigid = replace(one, sightings=tuple(seen), residuals=tuple(residuals))
+
+    def pays(gain: float, cameras: tuple[int, ...]) -> bool:
+        """Whether a board does that explains so much, in the images of some cameras."""
+        share = np.exp(-gain / (320 * len(cameras)))  # each camera has 160 corners, of two numbers
+        better = [r * share if s.camera in cameras else r for s, r in zip(seen, residuals, strict=True)]
+        bent = replace(rigid, residuals=tuple(better), layout=replace(one.layout, shape=shape))
+        return board_pays(rigid, bent)
+
+    for cameras in ((0, 1), (0,), (1,)):
+        assert pays(1.02 * price, cameras)
+        assert not pays(0.98 * price, cameras)
