@@ -13,7 +13,14 @@ from simulated_rigs import BOARD
 
 from twin_node.geometry import pose
 from twin_node.rig import RigError
-from twin_node.rig.calibrate.rig_fit import RigFit, common_sightings, fit, settled
+from twin_node.rig.calibrate.rig_fit import (
+    BEHIND_PX,
+    RigFit,
+    _Eyes,
+    common_sightings,
+    fit,
+    settled,
+)
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Rig, RigCamera
 
@@ -135,3 +142,13 @@ def test_a_settled_board_lies_where_all_cameras_put_it_and_fits_better(recording
     spread = settled(BOARD, off, fit(BOARD, off, few))
     apart = [float(np.median(np.linalg.norm(spread.of_camera(number), axis=1))) for number in range(3)]
     assert max(apart) < a_lens().K[0, 0] * np.radians(0.2)
+
+
+def test_what_lies_behind_a_camera_is_as_far_off_as_can_be_and_has_no_slope(recordings: list[CameraRecording]) -> None:
+    rig = a_rig()
+    one = [s for s in common_sightings(BOARD, rig, recordings) if s.camera == 0][:1]
+    eyes, behind = _Eyes.of(BOARD, rig), rig.cameras[0].T_base_cam @ pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    assert (eyes.residuals(one, [behind])[0] == BEHIND_PX).all()
+    assert not eyes.slopes(one, behind, np.zeros(6)).any()
+    aside = rig.cameras[0].T_base_cam @ pose(np.eye(3), np.array([3.0, 0.0, 1e-4]))
+    assert np.abs(eyes.residuals(one, [aside])[0]).max() <= BEHIND_PX
