@@ -75,6 +75,18 @@ def test_a_camera_that_was_turned_about_its_own_centre_is_told_to_stand_where_it
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
+def test_a_camera_that_was_moved_is_not_told_to_have_another_lens() -> None:
+    """Moved sideways by 10 mm half-way, it was said to want another focal length: its lens was to be left free."""
+    cameras, moved = [], around(3)[2] @ pose(np.eye(3), np.array([0.01, 0, 0]))
+    for i, T in enumerate((*around(3), moved)):
+        film = record(BOARD, a_lens(), T, f"cam{min(i, 2)}", np.random.default_rng(min(i, 2)))
+        cameras.append(replace(film, lens=a_lens()))
+    later = cameras.pop()
+    cameras[2] = replace(cameras[2], found=(*cameras[2].found[:60], *later.found[60:]))
+    with pytest.raises(RigError, match="camera cam2: expected one place and one clock"):
+        calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
+
+
 @pytest.mark.parametrize(("at", "by", "told"), [(0.97, 0.003, "one place and one clock"), (0.9, 0.1, "one place")])
 def test_a_camera_that_was_moved_near_the_start_or_the_end_is_named(at: float, by: float, told: str) -> None:
     """Split at the middle alone it was accepted, or all of its last images were left out: 100 mm off from then on."""

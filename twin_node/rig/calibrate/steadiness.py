@@ -64,6 +64,12 @@ class Split:
         return self.gain > MOST_GAIN and self.matters
 
 
+def most_gained(witnesses: Witnesses) -> float:
+    """By how much half the sum of squares, in sigmas, would be less at most, had one camera been moved meanwhile."""
+    cameras = range(len(witnesses.bundle.state.lenses))
+    return max((split.gain for camera in cameras for split in _splits(witnesses, camera)), default=0.0)
+
+
 def check_steady(names: Sequence[str], witnesses: Witnesses) -> None:
     """Raises `RigError` where some of a camera's images are another camera's."""
     for camera, name in enumerate(names):
