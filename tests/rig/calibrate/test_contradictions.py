@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from test_bundle_adjustment import BOARD, a_moving_state, a_still_state, sightings_of
 
 from twin_node.rig import RigError
+from twin_node.rig.calibrate import contradictions
 from twin_node.rig.calibrate.bundle import BundleOptions, BundleResult, Sighting
 from twin_node.rig.calibrate.bundle_solver import solve_bundle
-from twin_node.rig.calibrate.contradictions import MOST_WORSE, check_board, check_fit
+from twin_node.rig.calibrate.contradictions import MOST_WORSE, check_board, check_fit, check_lenses
 from twin_node.rig.calibrate.stamp_jitter import MOST_JITTER_S
-from twin_node.rig.calibrate.witnesses import LIKE_PX, Witnesses
+from twin_node.rig.calibrate.witnesses import LIKE_PX, MOST_GAIN, MOVED_M, MOVED_RAD, OtherLens, Witnesses
 
 NAMES = ("left", "right")
 NOISE_PX = 0.1
@@ -161,3 +164,57 @@ def test_witnesses_have_the_delays_of_their_own_images_where_some_were_left_out(
     )
     witnesses = Witnesses.of(seen, left)
     np.testing.assert_array_equal(witnesses.delays, kept)  # the board moves: every image is a witness
+
+
+@pytest.mark.parametrize("given_share", [0.97, 1.03])
+def test_images_tell_which_lens_they_were_taken_through(given_share: float) -> None:
+    state = a_still_state("plumb_bob", sets=10)
+    seen = sightings_of(state, np.random.default_rng(0), noise=0.2)
+    true = state.lenses[1]
+    wrong = replace(true, K=true.K * np.array([[given_share, 1, 1], [1, given_share, 1], [1, 1, 1]]))
+    bundle = solve_bundle(replace(state, lenses=(state.lenses[0], wrong)), seen, BundleOptions(lenses=False))
+    first, second = Witnesses.of(seen, bundle).other_lenses()
+    assert second.gain > max(MOST_GAIN, 3 * first.gain)
+    assert second.focal_px == pytest.approx(true.K[0, 0], rel=0.008)
+    assert second.matters
+    # The distance to the board has taken up the focal length: 3 % of about a metre.
+    assert second.shift_m == pytest.approx(0.03, rel=0.7)
+    right = Witnesses.of(seen, solve_bundle(state, seen, BundleOptions(lenses=False))).other_lenses()
+    assert max(lens.gain for lens in right) < MOST_GAIN
+
+
+def with_lenses(solved: tuple[list[Sighting], BundleResult], *told: OtherLens) -> Witnesses:
+    """Witnesses that would have lenses like these."""
+    return cast(Witnesses, SimpleNamespace(bundle=solved[1], other_lenses=lambda: list(told)))
+
+
+def test_the_lens_that_is_furthest_off_is_named_where_that_matters(
+    solved: tuple[list[Sighting], BundleResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contradictions, "most_gained", lambda _: 0.0)
+    likely, far = OtherLens(0.9 * MOST_GAIN, 500.0, 0.1, 0.1), OtherLens(1.1 * MOST_GAIN, 533.25, 0.012, 0.0052)
+    check_lenses(NAMES, with_lenses(solved, likely, likely))
+    check_lenses(NAMES, with_lenses(solved, likely, replace(far, shift_m=0.9 * MOVED_M, turn_rad=0.9 * MOVED_RAD)))
+    told = r"of focal length 520\.0 px, found some that fit 533\.2 px and cameras up to 12 mm and 0\.3 degrees"
+    with pytest.raises(RigError, match=f"camera right: .* {told}"):
+        check_lenses(NAMES, with_lenses(solved, likely, far))
+    for less in (replace(far, shift_m=0.0), replace(far, turn_rad=0.0)):
+        with pytest.raises(RigError, match="camera left"):
+            check_lenses(NAMES, with_lenses(solved, less, likely))
+
+
+def test_a_move_that_explains_far_more_is_told_in_its_place(
+    solved: tuple[list[Sighting], BundleResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def moved(*_: object) -> None:
+        raise RigError("moved")
+
+    far = OtherLens(2 * MOST_GAIN, 533.25, 0.012, 0.0052)
+    for share, told in ((2.9, "camera left"), (3.1, "moved")):
+        monkeypatch.setattr(contradictions, "most_gained", lambda _, share=share: share * 2 * MOST_GAIN)
+        monkeypatch.setattr(contradictions, "check_steady", moved)
+        with pytest.raises(RigError, match=told):
+            check_lenses(NAMES, with_lenses(solved, far, replace(far, gain=1.0)))
+    monkeypatch.setattr(contradictions, "check_steady", lambda *_: None)  # two images that were misread alike
+    with pytest.raises(RigError, match="camera left"):
+        check_lenses(NAMES, with_lenses(solved, far, replace(far, gain=1.0)))
