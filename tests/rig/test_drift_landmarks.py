@@ -86,11 +86,15 @@ def test_depth_that_begins_later_is_depth_that_the_camera_measures() -> None:
 
 
 def test_a_camera_is_looked_at_once_in_a_period() -> None:
-    watch = DriftWatch(DriftParameters(period_ms=200.0, confirm=1))
-    said = []
-    for milliseconds, image in [(0, plain_wall()), (199, np.roll(plain_wall(), 4, axis=1)), (200, plain_wall())]:
+    watch, said = DriftWatch(DriftParameters(period_ms=200.0, confirm=1)), []
+    moved = np.roll(plain_wall(), 4, axis=1)
+    for milliseconds, image in [
+        (0, plain_wall()),
+        (199, moved),
+        (200, moved),
+        (399, plain_wall()),
+        (400, plain_wall()),
+    ]:
         stamp = milliseconds * 1_000_000
         said.append(watch.update(FrameSet(stamp, (View(CAMERA, stamp, image),))).drifts[0].verdict)
-    assert said == [Verdict.STEADY] * 3
-    moved = View(CAMERA, 400_000_000, np.roll(plain_wall(), 4, axis=1))
-    assert watch.update(FrameSet(moved.stamp, (moved,))).drifts[0].verdict is Verdict.BUMPED
+    assert said == [Verdict.STEADY, Verdict.STEADY, Verdict.BUMPED, Verdict.BUMPED, Verdict.STEADY]
