@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
+from test_landmarks import after, scene
 
 from twin_node.rig.drift import DriftParameters, DriftWatch
 from twin_node.rig.drift_report import Drift, Verdict
@@ -98,3 +101,29 @@ def test_a_camera_is_looked_at_once_in_a_period() -> None:
         stamp = milliseconds * 1_000_000
         said.append(watch.update(FrameSet(stamp, (View(CAMERA, stamp, image),))).drifts[0].verdict)
     assert said == [Verdict.STEADY, Verdict.STEADY, Verdict.BUMPED, Verdict.BUMPED, Verdict.STEADY]
+
+
+def of_each(images: Sequence[Sequence[UInt8]], parameters: DriftParameters | None = None) -> list[list[Verdict]]:
+    """What a watch says of cameras that see full patterns, by set and camera."""
+    rng, watch, said = np.random.default_rng(2), DriftWatch(parameters), []
+    for number, of_set in enumerate(images):
+        stamp, views = number * STEP_NS, []
+        for i, image in enumerate(of_set):
+            noisy = np.clip(image + rng.normal(0, 1, image.shape), 0, 255).astype(np.uint8)
+            views.append(View(replace(CAMERA, name=f"cam{i}"), stamp, noisy))
+        said.append(list(watch.update(FrameSet(stamp, tuple(views))).verdicts))
+    return said
+
+
+@pytest.mark.parametrize("shown", [scene(1), after(np.radians([0.0, 20.0, 0.0]), scene())], ids=["other", "turned"])
+def test_a_camera_that_is_turned_away_to_something_as_rich_is_lost(shown: UInt8) -> None:
+    """One landmark in six was found in it by chance: it was only said to see too little, and its images used."""
+    said = of_each([[scene()]] * 5 + [[shown]] * 20)
+    assert said[-1] == [Verdict.LOST]
+    assert Verdict.BUMPED not in {verdict for verdicts in said for verdict in verdicts}
+
+
+def test_cameras_of_rich_scenes_that_change_places_are_told_at_once() -> None:
+    a, b, c = scene(), scene(1), scene(2)
+    said = of_each([[a, b, c]] * 5 + [[b, a, c]] * 3, DriftParameters(lost_s=60.0))
+    assert said[-1] == [Verdict.LOST, Verdict.LOST, Verdict.STEADY]

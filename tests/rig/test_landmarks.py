@@ -193,3 +193,17 @@ def test_contrast_takes_gain_and_offset_out_and_leaves_noise_of_plain_walls_smal
     assert contrast(image)[inner].mean() == pytest.approx(128, abs=6)
     wall = np.clip(100 + np.random.default_rng(0).normal(0, 0.5, image.shape), 0, 255).astype(np.uint8)
     assert contrast(wall)[inner].std() < 12
+
+
+def test_landmarks_agree_that_stand_or_move_as_one_and_none_that_chance_has_found() -> None:
+    marks = landmarks()
+    assert marks.agreeing(marks.found_in(contrast(scene()))) == len(marks)
+    turned = marks.found_in(contrast(after(np.radians([0.0, 1.0, 0.0]), scene())))
+    assert marks.agreeing(turned) > 0.8 * found(turned).sum()
+    other = marks.found_in(contrast(scene(1)))
+    assert found(other).sum() > LEAST
+    assert marks.agreeing(other) < LEAST
+    few = np.full_like(marks.home, np.nan)
+    assert marks.agreeing(few) == 0
+    few[:3] = marks.home[:3] + np.float32([[0.0, 0.0], [0.5, 0.0], [5.0, 0.0]])
+    assert marks.agreeing(few) == 2

@@ -12,7 +12,7 @@ import numpy as np
 from twin_node.ranges import NOT_NEGATIVE, POSITIVE, Range, check_ranges
 from twin_node.rig.drift_report import Drift, DriftReport, Verdict
 from twin_node.rig.errors import RigError
-from twin_node.rig.landmarks import INLIER_PX, CommonMotion, Landmarks, contrast, features_of, found, tracked
+from twin_node.rig.landmarks import INLIER_PX, CommonMotion, Landmarks, contrast, features_of, tracked
 from twin_node.rig.repeats import Streams
 from twin_node.scene import Bool, Camera, Float64, FrameSet, UInt8
 
@@ -166,7 +166,7 @@ class _Watched:
         now = self.landmarks.found_in(image)
         motion = self.landmarks.motion(now, parameters.least_features, parameters.least_share)
         if motion is None:
-            features, least, share = int(found(now).sum()), parameters.least_features, parameters.least_share
+            features, least, share = self.landmarks.agreeing(now), parameters.least_features, parameters.least_share
             if features < least and any(other.stand_in(image, least, share) for other in others):
                 self._conclude(Verdict.LOST, 0, stamp, parameters)
             else:

@@ -17,6 +17,8 @@ BACK_PX = 0.5
 """A feature tracked there and back must come home within this."""
 INLIER_PX = 0.75
 """Features within this of a motion follow it."""
+LEAST_FOLLOWERS = 4
+"""Points that determine a homography."""
 STRAYS = 3
 """A feature that strays so often while the others stand still is on something that moves: it is dropped."""
 STANDING_SHARE = 0.3
@@ -96,6 +98,13 @@ class Landmarks:
         if still < STANDING_SHARE / 2 and seen.mean() > least_share:
             return self._measured(home, home + np.median(there - home, axis=0))
         return None
+
+    def agreeing(self, now: Float32) -> int:
+        """How many landmarks, now at `now` [n, 2], stand or move as one: in rich images some are found by chance."""
+        seen = found(now)
+        home, there = self.home[seen], now[seen]
+        standing = int((np.linalg.norm(there - home, axis=1) < INLIER_PX).sum())
+        return standing if len(home) < LEAST_FOLLOWERS else max(standing, int(_followers(home, there).sum()))
 
     def stand_in(self, image: UInt8, least_features: int, least_share: float) -> bool:
         """Whether an image, of whatever camera, shows the landmarks where they are at home."""
