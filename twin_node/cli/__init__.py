@@ -8,6 +8,7 @@ import io
 import os
 import select
 import sys
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,13 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         return 141
     except OSError as error:
-        if error.errno in _FULL and error.filename is None:
-            _throw_output_away()
-            print(f"twin_node: error: no room for what it writes: {error.strerror}; free some", file=sys.stderr)
-            return 2
-        if error.errno not in _UNREACHABLE or error.filename is None:
+        told = _told_of_disk(error)
+        if told is None:
             raise
-        print(f"twin_node: error: {error.filename}: {error.strerror}; check the path", file=sys.stderr)
+        print(f"twin_node: error: {told}", file=sys.stderr)
         return 2
     return status if isinstance(status, int) else 0
 
@@ -113,6 +111,20 @@ def _is_unread() -> bool:
         return False
     _throw_output_away()
     return True
+
+
+def _told_of_disk(error: OSError) -> str | None:
+    """What a user can do about a disk, or a place on it, that is to blame; None where another thing is."""
+    if error.errno in _FULL and error.filename is None:
+        _throw_output_away()
+        return f"no room for what it writes: {error.strerror}; free some"
+    if error.errno in _UNREACHABLE and error.filename is not None:
+        return f"{error.filename}: {error.strerror}; check the path"
+    try:
+        tempfile.gettempdir()
+    except OSError:  # then torch and Matplotlib do not load
+        return "no folder takes temporary files ($TMPDIR, /tmp, /var/tmp); free space, or set TMPDIR to one that does"
+    return None
 
 
 def _throw_output_away() -> None:

@@ -117,7 +117,9 @@ def _run(
 ) -> None:
     """Replay a session with a progress bar, then write its report, and say where everything is."""
     from twin_node.nodes.replay import replay
-    from twin_node.nodes.report import STEPS, write_report
+
+    if report is not None:
+        from twin_node.nodes.report import STEPS, write_report
 
     with session, tqdm(total=round(session.span.seconds, 2), unit="s", desc="replay", disable=None) as bar:
 
