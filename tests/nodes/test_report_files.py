@@ -16,6 +16,7 @@ from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.log_source import LogSession
+from twin_node.nodes.player import Span
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
@@ -23,7 +24,7 @@ from twin_node.nodes.report.page import ReportError, _cards, _curves, _lead, _wr
 from twin_node.nodes.report.quality import Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
-from twin_node.nodes.topics import JOINT_STATES, TRAJECTORY
+from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import Camera, FrameSet, Separation, View
@@ -66,6 +67,19 @@ def test_a_camera_that_stops_is_named_though_most_sets_have_it(
     told = held.lacking("ab", ())
     assert bool(told) == is_told
     assert all(line.startswith("camera b: in none of the last 15 sets, 1.5 s: it stopped") for line in told)
+
+
+@pytest.mark.parametrize("damage", [None, "read up to byte 7"])
+def test_a_run_whose_sets_end_before_its_log_says_so(damage: str | None) -> None:
+    """Where damage has ended the log, that is told instead."""
+    run = replace(short_run(), damage=damage)
+    run.collector.configure()
+    cast(SteppedClock, run.collector.clock).advance_to(2_000_000_000)
+    run.collector.bus.publish(FRAMES, FrameSet(1, ()))
+    session = cast(LogSession, SimpleNamespace(span=Span(0, 5_000_000_000), cameras_in_sets=(), cameras=()))
+    told = run.missed(session)
+    assert len(told) == (damage is None)
+    assert all(line.startswith("no set of images in the last 3.0 s of the log, after 1: ") for line in told)
 
 
 def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:

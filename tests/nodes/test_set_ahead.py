@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +14,9 @@ from twin_node.bag import LogWriter, write_rig
 from twin_node.messages.convert import camera_info, compressed_image
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.set_ahead import ClocksSetAhead
+from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.scene import Rig, RigCamera
+from twin_node.scene import FrameSet, Rig, RigCamera
 
 START, MS = 1_700_000_000_000_000_000, 1_000_000
 PERIOD = 33 * MS
@@ -22,24 +25,45 @@ CAMERAS = (LEFT, replace(LEFT, name="right"), replace(LEFT, name="top"))
 DARK = np.zeros((24, 32, 3), np.uint8)
 
 
-@pytest.mark.filterwarnings("ignore::twin_node.errors.TwinWarning")
-def test_the_others_keep_their_sets(tmp_path: Path) -> None:
-    """All sets were made of that camera alone: by its stamps the others' images were late."""
-    path, box = tmp_path / "log.mcap", np.array([[-1.0, -1, 0], [1, 1, 1]])
+def log_with_clocks_set(path: Path, names: Collection[str], at: int, ahead_ms: int) -> Path:
+    """2 s of images; from one on, some cameras' stamps are ahead."""
+    box = np.array([[-1.0, -1, 0], [1, 1, 1]])
     with LogWriter(path) as log:
         write_rig(log, Rig(CAMERAS, box), START)
         for k in range(60):
             for camera in CAMERAS:
                 taken = START + k * PERIOD
-                stamp = taken + (500 * MS if camera.name == "top" and k >= 30 else 0)
+                stamp = taken + (ahead_ms * MS if camera.name in names and k >= at else 0)
                 log.write(f"/{camera.name}/camera_info", camera_info(camera, stamp), taken)
                 image = compressed_image(camera.name, stamp, DARK)
                 log.write(f"/{camera.name}/image_raw/compressed", image, taken + 20 * MS)
-    with LogSession(path) as session:
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::twin_node.errors.TwinWarning")
+def test_the_others_keep_their_sets(tmp_path: Path) -> None:
+    """All sets were made of that camera alone: by its stamps the others' images were late."""
+    with LogSession(log_with_clocks_set(tmp_path / "log.mcap", ["top"], 30, 500)) as session:
         sets = [[view.camera.name for view in frames.views] for frames in LogSource(session, SynchronizerParameters())]
     assert sets[:29] == [["left", "right", "top"]] * 29
     assert sets[32:] == [["left", "right"]] * len(sets[32:])
     assert len(sets) >= 55
+
+
+def test_sets_that_end_with_the_clock_of_all_cameras_are_told(tmp_path: Path) -> None:
+    """Two thirds of a log were left out in silence, by what makes something of it and by a replay."""
+    log = log_with_clocks_set(tmp_path / "log.mcap", ["left", "right", "top"], 20, 3_600_000)
+    with LogSession(log) as session, warnings.catch_warnings(record=True) as told:
+        assert len(list(LogSource(session, SynchronizerParameters()))) == 20
+    assert any("no set of images in the last 1.3 s of the log, after 20: all cam" in str(one.message) for one in told)
+
+
+@pytest.mark.parametrize(("period_s", "until_s", "is_told"), [(0.1, 5.2, True), (0.1, 4.8, False), (60, 2600, False)])
+def test_sets_that_come_seldom_have_not_ended(period_s: float, until_s: float, is_told: bool) -> None:
+    held = SetContents()
+    for number in range(40):
+        held.add(FrameSet(number, ()), round(number * period_s * 1e9))
+    assert (held.ended_before(round(until_s * 1e9)) is not None) == is_told
 
 
 def found(*images: tuple[int, int]) -> list[int]:

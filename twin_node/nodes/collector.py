@@ -93,7 +93,7 @@ class CollectorNode(Node):
             self._spool.add(Tick(replace(frames, views=views)))
 
     def _on_arrival(self, frames: FrameSet) -> None:
-        self.arrived.add(frames)
+        self.arrived.add(frames, self.clock.now())
         self._begun = time.perf_counter()
 
     def _on_frames(self, frames: FrameSet) -> None:

@@ -155,8 +155,8 @@ class LogSource:
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, from the beginning of the session's span.
 
-        Warns, with a `TwinWarning`, of what the session doubts, where damage has ended them, and of a camera that most
-        of them lack, or its depth: what is made of them is made of a part.
+        Warns, with a `TwinWarning`, of what the session doubts, where damage or anything else has ended them before
+        the log's end, and of a camera that most of them lack, or its depth: what is made of them is made of a part.
         """
         self._session.warn(self._session.set_doubts)
         held = SetContents()
@@ -166,11 +166,12 @@ class LogSource:
         bus.subscribe(FRAMES, ready.append)
         for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
             for frames in ready:
-                held.add(frames)
+                held.add(frames, clock.now())
                 yield frames
             ready.clear()
-        if self._session.log.damage is not None:
-            warnings.warn(self._session.log.damage, TwinWarning, stacklevel=2)
+        ended = self._session.log.damage or held.ended_before(self._session.span.stop_ns)
+        if ended is not None:
+            warnings.warn(ended, TwinWarning, stacklevel=2)
         for line in held.lacking(self._session.cameras_in_sets, self._session.cameras):
             warnings.warn(line, TwinWarning, stacklevel=2)
 

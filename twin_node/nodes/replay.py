@@ -72,8 +72,12 @@ class Run:
         return self.rate is None
 
     def missed(self, session: LogSession) -> tuple[str, ...]:
-        """A line for each of the log's cameras that most sets had to do without, or its images without their depth."""
-        return self.collector.arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0)
+        """A line for each of the log's cameras that most sets had to do without, or its images without their depth; one
+        where sets ended before the log did."""
+        arrived = self.collector.arrived
+        ended = arrived.ended_before(session.span.stop_ns) if self.damage is None else None
+        lacking = arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0)
+        return lacking if ended is None else (ended, *lacking)
 
 
 @contextlib.contextmanager

@@ -28,10 +28,13 @@ class SetContents:
         """By camera, stamp (ns) and number of the last set with an image."""
         self._stamp = 0
         """Of the last set, ns."""
+        self._came: tuple[int, int] | None = None
+        """When the first and the last set came, ns of the log's time."""
 
-    def add(self, frames: FrameSet) -> None:
-        """Takes note of a set."""
+    def add(self, frames: FrameSet, now: int = 0) -> None:
+        """Takes note of a set that comes at a time of the log, ns."""
         self.sets += 1
+        self._came = (now if self._came is None else self._came[0], now)
         self.images.update(view.camera.name for view in frames.views)
         self.depths.update(view.camera.name for view in frames.views if view.depth is not None)
         self._stamp = frames.stamp
@@ -65,6 +68,18 @@ class SetContents:
                     f"'twin_node check'{hurried}"
                 )
         return tuple(lines)
+
+    def ended_before(self, stop_ns: int) -> str | None:
+        """A line where no set has come for long before the end of what was read, ns of the log's time."""
+        first, last = self._came or (stop_ns, stop_ns)
+        usual_s = (last - first) * 1e-9 / max(self.sets - 1, 1)
+        silent_s = (stop_ns - last) * 1e-9
+        if silent_s <= max(STOPPED_S, STOPPED_SETS * usual_s):
+            return None
+        return (
+            f"no set of images in the last {silent_s:.1f} s of the log, after {self.sets}: all cameras stopped, or "
+            "their clocks were set; see their times with 'twin_node check'"
+        )
 
     def _stopped(self, name: str) -> _Stopped | None:
         """What a camera that most sets have has not been in at the end; None: it has."""
