@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,20 @@ LOG_START = 1_700_000_000_000_000_000
 class Studio:
     """A recorder, and a wire to speak on."""
 
-    def __init__(self, output: Path, clock: Clock, is_active: bool = True, **more: Any) -> None:
+    def __init__(
+        self,
+        output: Path,
+        clock: Clock,
+        is_active: bool = True,
+        say: Callable[[str], None] | None = None,
+        **more: Any,
+    ) -> None:
         self.said: list[str] = []
         self.graph: tuple[Endpoint, ...] = ()
         self.is_finished = False
         self._wire, self._executor = LocalWire(), Executor()
         bus = WireBus(self._wire, self._executor, "recorder", kind_of)
-        say = self.said.append
+        say = say or self.said.append
         setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, lambda: self.graph, say)
         topics = {"topics": (DIAGNOSTICS, TF_STATIC), **more}
         self.node = LiveRecorderNode(setup, RecordParameters(str(output), **topics))
@@ -191,6 +199,18 @@ def test_nothing_stays_of_a_graph_that_never_began(tmp_path: Path, name: str) ->
     assert list(tmp_path.iterdir()) == [tmp_path / name]
     studio.node.cleanup()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["run", "run.mcap"])
+def test_nothing_stays_where_nobody_hears_that_it_begins(name: str, tmp_path: Path) -> None:
+    """As of `twin_node record -o run | true`: 45 bytes had the name, and were damaged for `info`."""
+
+    def say(_line: str) -> None:
+        raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        Studio(tmp_path / name, SystemClock(), say=say, tells=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recorder_by_itself_ends_with_the_disk_s_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

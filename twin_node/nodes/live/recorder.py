@@ -104,6 +104,14 @@ class LiveRecorderNode(Node):
             if path == wanted or self._parameters.ends_when_refused:
                 raise
             self._fail(error)
+        try:
+            self._listen(path)
+        except BaseException:  # such as one that nobody hears what is said: the name is free for the next try
+            if self._writer is not None:
+                self._writer.discard()
+            raise
+
+    def _listen(self, path: Path) -> None:
         for topic in self._topics:
             kind = kind_of(topic)
             if kind is not None and kind.msgtype is not None:
