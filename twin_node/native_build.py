@@ -227,6 +227,12 @@ def _own_folder() -> Path:
     return folder
 
 
+def drop_own_folder() -> None:
+    """Takes away what was compiled for this process alone; to be called where it ends without Python's own end."""
+    if _own_folder.cache_info().currsize:
+        shutil.rmtree(_own_folder(), ignore_errors=True)
+
+
 def _run(command: list[str]) -> str:
     try:
         running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, process_group=0)

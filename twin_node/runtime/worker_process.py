@@ -19,6 +19,7 @@ from typing import NoReturn
 from twin_node.errors import TwinError
 from twin_node.native_library import processors
 from twin_node.runtime import copies
+from twin_node.runtime.leaving import leave
 
 READY = "ready"
 """What the process says first: it has loaded all that it needs."""
@@ -165,6 +166,4 @@ def run(work: Callable[[Connection], None]) -> NoReturn:
     """The process's own side of it: works on what comes through its end of the pipe until the other one is closed."""
     with contextlib.suppress(EOFError, ConnectionError):  # nobody hands it anything more
         work(Connection(int(sys.argv[1])))
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(0)  # without the second that torch, where it is loaded, takes to end
+    leave(0)

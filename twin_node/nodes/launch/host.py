@@ -21,6 +21,7 @@ from typing import Any
 from twin_node.collecting import collect_rarely
 from twin_node.errors import TwinError
 from twin_node.nodes.launch.order import Order
+from twin_node.runtime.leaving import leave
 
 FAILED, REFUSED = 1, 2
 """Exit statuses: a node failed; what it was given is wrong, before it had been active."""
@@ -106,7 +107,4 @@ def _say(events: Any, **what: str) -> None:
 
 
 if __name__ == "__main__":
-    status = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)  # libraries' threads must not keep a process alive that its launcher has given up
+    leave(main())  # libraries' threads must not keep a process alive that its launcher has given up
