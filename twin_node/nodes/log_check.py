@@ -16,7 +16,7 @@ from twin_node.messages import convert, from_time
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import base_doubts, joint_doubts, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, depth_unit_fault, joint_doubts, rig_doubts
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import check_types, renamed
@@ -37,8 +37,6 @@ from twin_node.scene import RigCamera
 
 LARGEST_ANGLE_RAD = 2 * np.pi + 0.1
 """Joints of UR arms turn by one turn each way; more is degrees, or not their angle."""
-FARTHEST_M, NEAREST_M = 30.0, 0.05
-"""Depth that cameras of a cell can measure, m; outside of it the unit is wrong."""
 DELAY_NS = 1_000_000_000
 """A header stamp further than this from the time of recording was made by another clock."""
 SAMPLES = 5
@@ -212,10 +210,8 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
             medians.append(float(np.median(known)))
     if not medians:
         return ["no depth is known in any image that was looked at"] if contents else []
-    middle = float(np.median(medians))
-    if not NEAREST_M <= middle <= FARTHEST_M:
-        return [f"median depth of {middle:.3g} m: the unit is wrong (16UC1 is mm, 32FC1 is m)"]
-    return []
+    fault = depth_unit_fault(float(np.median(medians)))
+    return [] if fault is None else [fault]
 
 
 def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:

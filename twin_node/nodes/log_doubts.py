@@ -9,8 +9,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from twin_node.bag import LogReader
+from twin_node.errors import TwinError
 from twin_node.messages import MessageError
-from twin_node.messages.convert import BASE_FRAME
+from twin_node.messages.convert import BASE_FRAME, depth_from_message
 from twin_node.nodes.calibration import static_transforms
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.renaming import Renamed
@@ -25,6 +26,8 @@ BENT = 0.01
 """Share of the width by which images that were rectified are not bent any more, whoever calibrated them once more."""
 LOOKED_AT = 50
 """Messages that tell which joints there are: of some devices on one topic, each at a rate of its own."""
+FARTHEST_M, NEAREST_M = 30.0, 0.05
+"""Depth that cameras of a cell can measure, m; outside of it the unit is wrong."""
 ONE_BASE = 1e-3
 """By so much, m and rad, two frames of one base may differ."""
 
@@ -54,6 +57,29 @@ def _bent(camera: RigCamera) -> float:
     focal, middle = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     moved = distort(camera, (pixels - middle) / focal) - pixels
     return float(np.linalg.norm(moved, axis=1).max()) / camera.width
+
+
+def depth_doubts(log: LogReader, cameras: Sequence[CameraTopics]) -> Iterator[str]:
+    """A line for each camera whose first depth is that of no cell. `cameras`: as the log calls them."""
+    for camera in cameras:
+        if camera.depth is None or camera.depth not in log.spoken:
+            continue
+        with contextlib.suppress(TwinError):  # of what cannot be read, who reads it tells
+            first = next(log.messages([camera.depth]), None)
+            depth = np.zeros(0) if first is None else depth_from_message(content_of(first, log))
+            fault = depth_unit_fault(float(np.median(depth[depth > 0]))) if depth.any() else None
+            if fault is not None:
+                yield (
+                    f"camera '{camera.name}': {camera.depth} begins with a {fault}, and space is taken to be free "
+                    f"as far as that; mend its driver, or go without: --remap {camera.depth}:=/unmeasured{camera.depth}"
+                )
+
+
+def depth_unit_fault(median_m: float) -> str | None:
+    """What speaks against the unit of depth of this median, m."""
+    if NEAREST_M <= median_m <= FARTHEST_M:
+        return None
+    return f"median depth of {median_m:.3g} m: the unit is wrong (16UC1 is mm, 32FC1 is m)"
 
 
 def joint_doubts(names: Renamed) -> Iterator[str]:

@@ -12,7 +12,7 @@ from twin_node.errors import TwinWarning
 from twin_node.nodes.calibration import check_depth, damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_clocks import LogClocks
-from twin_node.nodes.log_doubts import base_doubts, joint_doubts, joints_told, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, depth_doubts, joint_doubts, joints_told, rig_doubts
 from twin_node.nodes.player import Player, Span, span_of
 from twin_node.nodes.renaming import check_types, renamed
 from twin_node.nodes.set_contents import SetContents
@@ -61,8 +61,9 @@ class LogSession:
             of_places = rig_doubts(looked_through, self.rig)
             self.camera_doubts = (*cameras.unused, *found.left_out, *of_places, *self.clocks.camera_doubts())
             """What of the cameras may not be meant as it is taken, a line each."""
+            of_depth = depth_doubts(self.log, looked_through)
             unread = (f"not read: {line}" for line in self.log.left_out)
-            self.set_doubts = (*unread, *self.camera_doubts, *of_joints, *of_base)
+            self.set_doubts = (*unread, *self.camera_doubts, *of_depth, *of_joints, *of_base)
             """The same of all that sets are made of."""
             self.doubts: tuple[str, ...] = (*self.set_doubts, *self.clocks.image_doubts())
             """The same for an arm that is to go by it."""
