@@ -84,8 +84,14 @@ def test_a_page_ends_though_what_loads_has_swallowed_the_signal() -> None:
         swallowing(is_interrupted)
 
 
-def test_an_interrupt_that_comes_while_a_compiled_module_loads_is_raised_after_it() -> None:
-    """NumPy and torch load parts of themselves from C: what was raised there was gone, and the command went on."""
+@pytest.mark.parametrize("loader", [ExtensionFileLoader("swallowing", "swallowing.so"), None])
+def test_an_interrupt_that_comes_while_a_compiled_module_loads_is_raised_after_it(
+    loader: ExtensionFileLoader | None,
+) -> None:
+    """NumPy and torch load parts of themselves from C: what was raised there was gone, and the command went on.
+
+    Of torch's, which the bodies of plain modules (None) set up, it aborted the process.
+    """
 
     source = """
 import signal
@@ -100,7 +106,7 @@ loaded = True
     space: dict[str, Any] = {"source": source}
     exec(in_import, space)
     with pytest.raises(KeyboardInterrupt), ended_in_order():
-        space["exec_module"](ExtensionFileLoader("swallowing", "swallowing.so"), module)
+        space["exec_module"](loader, module)
         threading.Event().wait(60)
     assert module.loaded
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

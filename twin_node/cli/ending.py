@@ -98,9 +98,10 @@ def _interrupts_not_lost() -> Iterator[None]:
 def _swallows(frame: FrameType | None) -> bool:
     """Whether what is raised where a signal has come may be lost.
 
-    So it is within a compiled module that loads, and where Python's own machinery clears up after a module.
+    So it is within a compiled module that loads, and where Python's own machinery clears up after a module. A module's
+    body may be in compiled code that sets up its own part, as torch's are: what is raised there aborts the process.
     """
-    if frame is not None and _is_of_imports(frame):
+    if frame is not None and (_is_of_imports(frame) or _is_module_body(frame)):
         return True
     while frame is not None:
         if _is_of_imports(frame) and isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
@@ -111,6 +112,10 @@ def _swallows(frame: FrameType | None) -> bool:
 
 def _is_of_imports(frame: FrameType) -> bool:
     return frame.f_code.co_filename.startswith("<frozen importlib")
+
+
+def _is_module_body(frame: FrameType) -> bool:
+    return frame.f_code.co_name == "<module>" and frame.f_back is not None and _is_of_imports(frame.f_back)
 
 
 def ended_by(number: int) -> BaseException:
