@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +54,18 @@ def test_what_is_interrupted_leaves_nothing(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         rehearse(tmp_path / "session", interrupted)
+    assert not list(tmp_path.iterdir())
+
+
+def test_videos_that_the_disk_takes_but_a_part_of_are_refused(tmp_path: Path) -> None:
+    """OpenCV says nothing of it: the rehearsal was told to be whole, with videos that nothing opens."""
+    session = tmp_path / "session"
+    command = [sys.executable, "-m", "twin_node", "calibrate", "rehearse", str(session)]
+    limited = ["sh", "-c", 'ulimit -f 1000; exec "$@"', "sh", *command]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    told = done.stderr.splitlines()[-1]
+    assert told.startswith(f"twin_node: error: {session}: cannot be made (left.mp4 took 0 of 200 images); free space")
     assert not list(tmp_path.iterdir())
 
 

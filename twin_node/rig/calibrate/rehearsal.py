@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Callable
@@ -84,7 +85,7 @@ def rehearse(folder: Path, progress: Progress = lambda images: None) -> Rehearsa
 
 
 def _refused(folder: Path, error: OSError) -> RigError:
-    return RigError(f"{folder}: cannot be made ({error.strerror}); give a folder that does not exist yet")
+    return RigError(f"{folder}: cannot be made ({error.strerror}); free space or choose another place")
 
 
 def _written(folder: Path, progress: Progress) -> Rehearsal:
@@ -100,7 +101,7 @@ def _written(folder: Path, progress: Progress) -> Rehearsal:
     board = {"kind": "charuco", "columns": BOARD.columns, "rows": BOARD.rows, "square": BOARD.square}
     board |= {"marker": BOARD.marker, "dictionary": BOARD.dictionary}
     (folder / "board.yaml").write_text(yaml.safe_dump(board, sort_keys=False), encoding="utf-8")
-    cv2.imwrite(str(folder / PREVIEW), np.hstack(previews))
+    (folder / PREVIEW).write_bytes(cv2.imencode(Path(PREVIEW).suffix, np.hstack(previews))[1].tobytes())
     truth = RigFile(Rig(cameras), notes="What the rehearsal was made with.", board=str(BOARD))
     save_rig(truth, folder / "truth.yaml")
     return Rehearsal(len(cameras), len(cameras) * len(times), MOVES_S + RESTS_S / 2)
@@ -140,8 +141,8 @@ def _film(
     folder: Path, camera: RigCamera, times: Float64, sheet: UInt8, drawing: BoardPrint, progress: Progress
 ) -> UInt8:
     """Writes the camera's video; `times` [T]: when its images are taken, s. Returns one image at half size."""
-    fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-    video = cv2.VideoWriter(str(folder / f"{camera.name}.mp4"), fourcc, RATE_HZ, (WIDTH, HEIGHT))
+    path, fourcc = folder / f"{camera.name}.mp4", cv2.VideoWriter.fourcc(*"mp4v")
+    video = cv2.VideoWriter(str(path), fourcc, RATE_HZ, (WIDTH, HEIGHT))
     rng = np.random.default_rng(len(camera.name))
     grain = rng.normal(0, NOISE, (HEIGHT + GRAIN_PX, WIDTH + GRAIN_PX)).astype(np.float32)
     preview: UInt8 = np.zeros((HEIGHT // 2, WIDTH // 2), np.uint8)
@@ -157,7 +158,17 @@ def _film(
         if abs(second - PREVIEW_AT_S) < 0.5 / RATE_HZ:
             preview = np.asarray(cv2.resize(noisy, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
     video.release()
+    _check_whole(path, len(times))
     return preview
+
+
+def _check_whole(video: Path, images: int) -> None:
+    """Raises `OSError` where a video lacks images, as on a full disk: who wrote it does not tell."""
+    written = cv2.VideoCapture(str(video))
+    found = int(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
+    written.release()
+    if found != images:
+        raise OSError(errno.ENOSPC, f"{video.name} took {found} of {images} images")
 
 
 def _picture(rays: Float32, T_cam_board: Float64, sheet: UInt8, drawing: BoardPrint) -> UInt8:
