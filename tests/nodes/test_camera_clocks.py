@@ -111,6 +111,7 @@ def write_apart(
                 writer.write(f"/{name}/image_raw/compressed", compressed_image(name, stamp, image), stored)
 
 
+@pytest.mark.filterwarnings("ignore:no set of images in the last 3598:twin_node.errors.TwinWarning")
 @pytest.mark.parametrize("recorded", ["when taken", "an hour early"])
 @pytest.mark.parametrize(
     ("off_s", "told"),

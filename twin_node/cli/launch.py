@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import signal
 import sys
 import time
@@ -12,6 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin_node.nodes.launch.launch_file import LaunchPlan
+
+LOGS = Path("out/log")
+"""Where each launch has a folder for its logs, unless told."""
 
 
 def add_launch(commands: Any) -> None:
@@ -73,7 +77,7 @@ def launch(file: Path, arguments: Sequence[str]) -> int | None:
 def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:
     from twin_node.nodes.launch.launcher import Launcher
 
-    folder = log_dir or Path("out/log") / f"{time.strftime('%Y%m%d-%H%M%S')}-{plan.path.stem}"
+    folder = log_dir or _folder_of_its_own(plan.path.stem)
     print(f"logs: {folder}", flush=True)
     launcher = Launcher(plan, folder, lambda line: print(line, flush=True))
     hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN  # as with nohup
@@ -83,3 +87,18 @@ def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:
     if result.failed is not None:
         print(f"twin_node: error: process '{result.failed}' {result.error}; see {folder}", file=sys.stderr)
     return result.status
+
+
+def _folder_of_its_own(name: str) -> Path:
+    """Where the processes' logs go: launches that begin in the same second, in two domains, would mix theirs up."""
+    first = folder = LOGS / f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
+    for number in itertools.count(2):
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            folder = first.with_name(f"{first.name}-{number}")
+        except OSError:  # which the launcher refuses
+            break
+        else:
+            break
+    return folder
