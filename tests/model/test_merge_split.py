@@ -13,6 +13,7 @@ from twin_node.model import merge_split
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import Kind, LogEvidence
 from twin_node.model.gaussians import Gaussians
+from twin_node.model.kernels import kernels
 from twin_node.model.merge_split import AGREED_S, SEARCHES, Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
 from twin_node.model.parts import halves_of, halves_reference, lie_apart, redealt
@@ -262,6 +263,7 @@ def test_what_parts_slowly_is_told_by_what_comes_and_not_by_what_has_long_been_s
     assert [one for one in decided(cells, slowly, 8) if isinstance(one, Split)]
 
 
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_compiled_halves_are_the_plain_ones() -> None:
     """Of bodies of few to many cells whose part goes its own way, not at all to clearly."""
     rng, found = np.random.default_rng(0), []

@@ -12,6 +12,8 @@ from model_scenes import TICK_NS, block, frames, joined, rig, seen, sliding, tab
 from twin_node.model import BirthParameters, ModelParameters, SeedParameters, WindowModel
 from twin_node.model.population import MOVING_JUDGED_S, Population
 from twin_node.model.quality import moving_pixels, psnr, squared_error
+from twin_node.model.slack import AT_EASE
+from twin_node.model.upkeep import Seen, Upkeep
 from twin_node.scene import FrameSet, Tier
 
 CAMERAS, SMALL = rig(), rig(48, 36)
@@ -57,6 +59,24 @@ def test_each_image_is_followed_at_its_own_time() -> None:
         for stamp in (early.stamp, state.stamp)
     )
     assert then > now + 1, "as if it had been taken later, or earlier than it was"
+
+
+def test_what_stands_takes_one_step_a_set_until_none_has_waited_for_some(
+    following: WindowModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, begin, asked = copy.deepcopy(following), Upkeep.begin, []
+
+    def noted(self: Upkeep, seen: Seen, steps: int) -> None:
+        asked.append(steps)
+        begin(self, seen, steps)
+
+    monkeypatch.setattr(Upkeep, "begin", noted)
+    all_of_them, waits = model.parameters.map.steps, 2
+    for index, one in enumerate(sliding(12 + waits + 1 + AT_EASE, CAMERAS, depth=True)[12:]):
+        model.update(one)
+        model.refine(lambda index=index: index != waits)
+    assert all_of_them > 1
+    assert asked == [all_of_them] * (1 + waits) + [1] * (AT_EASE - 1) + [all_of_them]
 
 
 def test_who_matters_least_to_the_images_makes_room(following: WindowModel) -> None:

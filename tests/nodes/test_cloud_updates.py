@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from twin_node.model.kernels import kernels
 from twin_node.nodes.cloud_updates import CloudUpdates, changes_between, changes_reference, updated
 from twin_node.scene import GaussianCloud, Tier
 
@@ -71,6 +72,7 @@ def test_what_stands_is_told_again_where_it_looks_otherwise(name: str, little: f
     assert changed(much) == [3]
 
 
+@pytest.mark.skipif(kernels() is None, reason="no compiled kernels here")
 def test_compiled_changes_are_the_plain_ones() -> None:
     """Of clouds of which some Gaussians are the same, some differ a little more or less, and some come and go."""
     rng = np.random.default_rng(1)

@@ -63,7 +63,7 @@ def test_a_camera_that_stops_is_named_though_most_sets_have_it(
     for number in range(40):
         stamp = round(number * period_s * 1e9)
         there = cameras if number < stops_after else cameras[:1]
-        held.add(FrameSet(stamp, tuple(View(camera, stamp, image) for camera in there)))
+        held.add(FrameSet(stamp, tuple(View(camera, stamp, image) for camera in there)), stamp)
     told = held.lacking("ab", ())
     assert bool(told) == is_told
     assert all(line.startswith("camera b: in none of the last 15 sets, 1.5 s: it stopped") for line in told)

@@ -31,7 +31,7 @@ class SetContents:
         self._came: tuple[int, int] | None = None
         """When the first and the last set came, ns of the log's time."""
 
-    def add(self, frames: FrameSet, now: int = 0) -> None:
+    def add(self, frames: FrameSet, now: int) -> None:
         """Takes note of a set that comes at a time of the log, ns."""
         self.sets += 1
         self._came = (now if self._came is None else self._came[0], now)

@@ -12,9 +12,7 @@
 namespace model {
 
 constexpr int kAxes = 3;
-constexpr int kGuesses = kAxes + 1;  // along the axes of the body, and along its cells' motions
-constexpr int kSweeps = 12;          // of Jacobi's method, each of which squares what is off the diagonal
-
+constexpr int kSweeps = 12;  // of Jacobi's method, each of which squares what is off the diagonal
 
 // What was said of one of two parts, as of one body.
 struct Part {
@@ -54,6 +52,7 @@ inline void find_axes(double (&A)[kAxes][kAxes], double (&axes)[kAxes][kAxes]) {
   }
 }
 
+// Finds the two bodies that explain best what was said of a node's cells; all that it remembers is of one call.
 class Halves {
  public:
   explicit Halves(const HalvesRequest &request) : r_(request), n_(static_cast<int>(request.count)) {}
