@@ -80,3 +80,9 @@ def test_an_address_without_a_port_is_refused(address: str) -> None:
 def test_addresses_of_every_protocol_are_taken() -> None:
     one = "tls/twin.local:7447?iface=eth0#so_rcvbuf=65000"
     ZenohParameters(endpoint=one, routers=("tcp/[fe80::1%eth0]:7447", "unixsock-stream//tmp/router"))
+
+
+def test_why_no_router_is_reached_is_told_without_places_in_zenoh_s_source(usual: ZenohParameters) -> None:
+    with pytest.raises(WireError, match=r"found neither \(Unable to connect to any of \[[^]]*\]\): what") as told:
+        open_client(usual)
+    assert ".rs" not in str(told.value)

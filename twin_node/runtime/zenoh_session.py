@@ -28,6 +28,7 @@ WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
 """Protocols of zenoh whose addresses end in a port."""
 _HOST_AND_PORT = re.compile(r"(\[[^]]+\]|[^][:]+):(?P<port>[0-9]+)")
 """An IPv6 address stands in brackets: without them its last part would be taken for the port."""
+_SOURCE_PLACE = re.compile(r"[.!\s]*\bat \S+\.rs:\d+\.?")
 DISTRIBUTIONS = ("humble", "jazzy", "kilted", "rolling")
 """Distributions of ROS 2 whose wire format is spoken."""
 
@@ -224,4 +225,5 @@ def _config(settings: dict[str, Any]) -> Any:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    """What zenoh says, without the places in its source."""
+    return _SOURCE_PLACE.sub("", " ".join(str(error).split()))
