@@ -2,13 +2,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from twin_node.cell import CellSource, Scenario, SimulatedRig
 from twin_node.cell.rendering import Rendering
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
-from twin_node.cell.sensor import sense
+from twin_node.cell.sensor import LENS_SIGMA_PX, sense
 from twin_node.model.rays import back_project
 from twin_node.robot import forward_kinematics, robot_mask
 from twin_node.scene import FrameSet
@@ -66,8 +67,9 @@ def test_sets_with_others_left_out_are_the_same(small: Scenario, sets: list[Fram
         assert all(np.array_equal(a.depth, b.depth) for a, b in zip(one.views, same.views, strict=True))
 
 
-def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
-    rig = SimulatedRig(small)
+@pytest.mark.parametrize("draws_noise_once", [False, True])
+def test_noise_is_as_strong_as_the_scenario_says(small: Scenario, draws_noise_once: bool) -> None:
+    rig = SimulatedRig(small, draws_noise_once)
     exposure = rig.exposures()[0]
     perfect, image = rig.render(exposure), rig.take(exposure)
     known = (image.depth_mm > 0) & (perfect.depth > 0)
@@ -75,6 +77,20 @@ def test_noise_is_as_strong_as_the_scenario_says(small: Scenario) -> None:
     assert scaled.std() == pytest.approx(small.sensing.depth_sigma_at_1m_mm, rel=0.1)
     assert abs(scaled.mean()) < 0.1
     assert 0.003 < (image.depth_mm[perfect.depth > 0] == 0).mean() < 0.2
+
+
+def test_noise_that_is_drawn_once_is_each_image_s_own(small: Scenario) -> None:
+    rig, again = (SimulatedRig(small, draws_noise_once=True) for _ in range(2))
+    first, second = rig.exposures()[:2]
+    noises = []
+    for exposure in (first, second):
+        image = rig.take(exposure)
+        assert np.array_equal(image.rgb, again.take(exposure).rgb)
+        shown = cv2.GaussianBlur(rig.render(exposure).rgb, (3, 3), LENS_SIGMA_PX)
+        noises.append((image.rgb - shown.astype(np.float64)).ravel())
+    assert noises[0].std() == pytest.approx(small.sensing.rgb_sigma, rel=0.15)
+    assert abs(np.corrcoef(*noises)[0, 1]) < 0.1
+    assert not np.array_equal(noises[0], noises[1])
 
 
 def test_depth_that_16_bits_do_not_hold_is_unknown() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,21 @@ def test_a_process_is_started_where_its_log_cannot_be_kept(tmp_path: Path, log: 
     child._process.wait(WAIT_S)
     assert child.status == REFUSED
     assert (tmp_path / log).exists() or "no log is kept" in said[0]
+
+
+def test_a_process_gives_way_as_it_is_told_to_and_has_the_launcher_s_session(tmp_path: Path) -> None:
+    """Linux shares processors among sessions first: in one of its own, a process gives way to nobody of the launch."""
+    loaded = threading.Event()
+    order = Order(("arm",), {}, False, False, {}, {}, "test.yaml", niceness=3)
+    child = Child("arm", order, tmp_path / "arm.log", loaded.set, lambda line: None)
+    try:
+        assert loaded.wait(WAIT_S)
+        own = os.getpriority(os.PRIO_PROCESS, 0)
+        assert os.getpriority(os.PRIO_PROCESS, child.pid) == min(own + 3, 19)
+        assert os.getsid(child.pid) == os.getsid(0)
+        assert os.getpgid(child.pid) == child.pid, "Ctrl-C of a terminal is the launcher's alone"
+    finally:
+        child.stop()
 
 
 class Loading:

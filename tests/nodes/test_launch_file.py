@@ -23,7 +23,7 @@ launch:
     who: {default: twin}
   processes:
     play: {nodes: [player], ends_launch: true, restart: false}
-    arm: {nodes: [arm], if: $(var who)/x == twin/x}
+    arm: {nodes: [arm], if: $(var who)/x == twin/x, nice: 5}
     write: {nodes: [recorder], if: $(var loop)}
 player:
   ros__parameters: {log: $(var log), rate: $(var rate), remap: ["/a:=/$(var who)"]}
@@ -40,9 +40,9 @@ def small(tmp_path: Path) -> Path:
 def test_arguments_fill_values_of_their_own_type(small: Path) -> None:
     plan = read_launch_file(small, ["log:=a.mcap", "rate:=2"])
     assert plan.sections["player"] == {"log": "a.mcap", "rate": 2.0, "remap": ["/a:=/twin"]}
-    assert [(p.name, p.nodes, p.restarts, p.ends_launch) for p in plan.processes] == [
-        ("play", ("player",), False, True),
-        ("arm", ("arm",), True, False),
+    assert [(p.name, p.nodes, p.restarts, p.ends_launch, p.niceness) for p in plan.processes] == [
+        ("play", ("player",), False, True, 0),
+        ("arm", ("arm",), True, False, 5),
     ]
 
 
@@ -113,6 +113,9 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("restart: false", 'restart: "false"', "process 'play': restart: expected true or false, without quotes"),
         ("restart: false", "spare: 1", "process 'play': spare: expected true or false, without quotes, found 1"),
         ("ends_launch: true", "ends_launch: twin", "process 'play': ends_launch: expected true or false"),
+        ("nice: 5", "nice: 20", "process 'arm': nice: expected a whole number from 0 to 19, found 20"),
+        ("nice: 5", "nice: -1", "process 'arm': nice: expected a whole number from 0 to 19, found -1"),
+        ("nice: 5", "nice: true", "process 'arm': nice: expected a whole number from 0 to 19, found True"),
         ("  processes:", '  use_sim_time: "false"\n  processes:', "launch: use_sim_time: expected true or false"),
         ("  processes:", "  lockstep: maybe\n  processes:", "launch: lockstep: expected true or false"),
         ("log: $(var log)", "2026-11-23: $(var log)", "player: a key: expected text or numbers, found 2026-11-23"),

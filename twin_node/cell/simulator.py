@@ -13,7 +13,7 @@ from twin_node.cell.raycast import RayCaster
 from twin_node.cell.rendering import Rendering
 from twin_node.cell.rig import make_rig, pinhole
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Scenario
-from twin_node.cell.sensor import RawImage, sense
+from twin_node.cell.sensor import DrawnNoise, RawImage, sense
 from twin_node.cell.world import World
 from twin_node.scene import Camera, FrameSet, Rig, UInt8, View
 
@@ -41,7 +41,8 @@ class Exposure:
 class SimulatedRig:
     """A scenario's cameras: when they look and what they see. The same scenario gives the same bytes."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, draws_noise_once: bool = False) -> None:
+        """`draws_noise_once`: images take half of the processor time, and have other bytes; see `DrawnNoise`."""
         self.scenario = scenario
         self.world = World(scenario)
         self.rig: Rig = make_rig(scenario)
@@ -49,6 +50,8 @@ class SimulatedRig:
         self.renderers = tuple(RayCaster(camera, self.world.static) for camera in self.cameras)
         self._stamps = self._draw_stamps()
         self._arrivals = self._draw_arrivals()
+        pixels = max(camera.width * camera.height for camera in self.cameras)
+        self._noise = DrawnNoise(pixels, scenario.seed) if draws_noise_once else None
         self._bumped: dict[Fault, RayCaster] = {}
         self._newest: dict[int, tuple[int, Rendering]] = {}
         """Per camera, what was asked for last, and when it was seen, ns."""
@@ -91,10 +94,11 @@ class SimulatedRig:
         frozen = self._fault(exposure, "frozen")
         source = exposure if frozen is None else self._first_in(frozen, exposure)
         rng = np.random.default_rng([self.scenario.seed, _NOISE, source.camera, source.tick])
+        noise = rng if self._noise is None else self._noise.part_of(rng)
         stamp = exposure.stamp
         if self._fault(exposure, "unsorted_stamps") is not None and exposure.tick % 2:
             stamp -= UNSORTED_STEP_NS
-        image = sense(self.cameras[exposure.camera].name, stamp, self._seen(source), self.scenario.sensing, rng)
+        image = sense(self.cameras[exposure.camera].name, stamp, self._seen(source), self.scenario.sensing, noise)
         return replace(image, depth_is_nan=self._fault(exposure, "nan_depth") is not None)
 
     def _seen(self, exposure: Exposure) -> Rendering:

@@ -56,7 +56,7 @@ class Child:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     pass_fds=(write_fd,),
-                    start_new_session=True,
+                    process_group=0,  # not a session: Linux shares processors among these first, then by niceness
                 )
         except BaseException:
             os.close(read_fd)

@@ -36,6 +36,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal's group: the launcher leads through the shutdown
     events = os.fdopen(int(sys.argv[1]), "w", buffering=1)
     order = Order(**json.loads(sys.stdin.readline()))
+    os.nice(order.niceness)
     try:
         if order.is_lockstep:
             from twin_node.nodes.launch.lockstep import run_in_lockstep

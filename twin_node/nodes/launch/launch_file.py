@@ -14,12 +14,12 @@ from twin_node.nodes.launch.kinds import (
     CHAIN_SECTIONS,
     IN_LOCKSTEP,
     KINDS,
-    check_kind,
     check_section,
     check_shared,
     is_foreign,
     nearest,
 )
+from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, read_flag, read_process
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
@@ -27,23 +27,6 @@ from twin_node.yaml_file import YAML_ERRORS, parse_yaml, read_yaml
 
 VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
 """A value that the user gives, as in the YAML launch files of ROS 2."""
-PROCESS_NAME = re.compile(r"[\w.-]+")
-
-
-@dataclass(frozen=True)
-class ProcessPlan:
-    """One process."""
-
-    name: str
-    nodes: tuple[str, ...]
-    restarts: bool = True
-    """Started again when it fails."""
-    ends_launch: bool = False
-    """When it has finished, everything else is brought down."""
-    has_spare: bool = False
-    """A second process waits with its nodes made, and takes over when the first fails."""
-    place: int = 0
-    """Among all processes of the file, those left out by their `if` too."""
 
 
 @dataclass(frozen=True)
@@ -99,14 +82,14 @@ def read_launch_file(
     section = _substituted(section, values, path)
     entries = _table(section, "processes", path)
     processes = tuple(
-        replace(_process(str(name), entry, path), place=place)
+        replace(read_process(str(name), entry, path), place=place)
         for place, (name, entry) in enumerate(entries.items())
-        if _is_wanted(entry)
+        if is_wanted(entry)
     )
     if not processes:
         raise GraphError(_nothing_to_run(path, entries, given))
     _check_nodes_once(processes, path)
-    is_lockstep = _flag(section, "lockstep", False, f"{path}: {LAUNCH}")
+    is_lockstep = read_flag(section, "lockstep", False, f"{path}: {LAUNCH}")
     if is_lockstep:
         _check_lockstep(processes, path)
     sections = _substituted(read_parameters(path), values, path)
@@ -267,51 +250,10 @@ def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path) -> An
     return values[match[1]]
 
 
-def _is_wanted(entry: Any) -> bool:
-    """Whether a process's `if` holds: it is neither empty nor false, and both sides of an `==` are equal."""
-    condition = entry.get("if", True) if isinstance(entry, Mapping) else True
-    if isinstance(condition, str) and "==" in condition:
-        left, _, right = condition.partition("==")
-        return left.strip() == right.strip()
-    return condition not in ("", "false", "False", False, None, 0)
-
-
-def _process(name: str, entry: Any, path: Path) -> ProcessPlan:
-    where = f"{path}: process '{name}'"
-    if not PROCESS_NAME.fullmatch(name):
-        raise GraphError(f"{where}: expected a name of letters, digits, _, - and ., which its log file is named after")
-    if not isinstance(entry, Mapping):
-        raise GraphError(f"{where}: expected keys and values with a list of nodes, found {told(entry)}")
-    known = {"nodes", "restart", "ends_launch", "spare", "if"}
-    for key in entry:
-        if key not in known:
-            raise GraphError(f"{where}: unknown key '{key}'; {nearest(str(key), known)}")
-    given = entry.get("nodes") or ()
-    if not isinstance(given, list | tuple):
-        raise GraphError(f"{where}: nodes: expected a list, found {given!r}; write [{given}]")
-    nodes = tuple(map(str, given))
-    for node in nodes:
-        check_kind(node, where)
-    if not nodes:
-        raise GraphError(f"{where}: expected a list of nodes, found none")
-    flags = (
-        _flag(entry, key, default, where)
-        for key, default in (("restart", True), ("ends_launch", False), ("spare", False))
-    )
-    return ProcessPlan(name, nodes, *flags)
-
-
-def _flag(section: Mapping[str, Any], key: str, default: bool, where: str) -> bool:
-    value = section.get(key, default)
-    if not isinstance(value, bool):
-        raise GraphError(f"{where}: {key}: expected true or false, without quotes, found {told(value)}")
-    return value
-
-
 def _follows_clock(section: Mapping[str, Any], sections: Sections, where: str) -> bool:
     """As the file's launch section says, unless parameters of every node say otherwise, as those of ROS nodes do."""
-    told = _flag(section, "use_sim_time", False, f"{where}: {LAUNCH}")
-    return _flag(sections.get(EVERY_NODE, {}), "use_sim_time", told, f"{where}: {EVERY_NODE}")
+    told = read_flag(section, "use_sim_time", False, f"{where}: {LAUNCH}")
+    return read_flag(sections.get(EVERY_NODE, {}), "use_sim_time", told, f"{where}: {EVERY_NODE}")
 
 
 def _check_nodes_once(processes: Sequence[ProcessPlan], path: Path) -> None:

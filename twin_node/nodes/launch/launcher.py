@@ -16,8 +16,9 @@ from twin_node.nodes.launch.child import Child
 from twin_node.nodes.launch.host import REFUSED
 from twin_node.nodes.launch.joining import Joining
 from twin_node.nodes.launch.kinds import check_together
-from twin_node.nodes.launch.launch_file import LaunchPlan, ProcessPlan
+from twin_node.nodes.launch.launch_file import LaunchPlan
 from twin_node.nodes.launch.order import Order
+from twin_node.nodes.launch.process_plan import ProcessPlan
 from twin_node.nodes.topics import GraphError
 from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.zenoh_session import WireError, open_router
@@ -306,6 +307,7 @@ class Launcher:
             plan.remaps,
             plan.where,
             self._kept,
+            process.niceness,
         )
         log = self._log_folder / f"{process.name}.log"
         return Child(process.name, order, log, self._news.set, lambda line: self._say(f"{process.name}: {line}"))

@@ -26,6 +26,8 @@ class Order:
     """What errors about parameters name."""
     kept: str = ""
     """Folder of what the launch's processes leave to those that take their places; empty: there is none."""
+    niceness: int = 0
+    """How far it gives way to others; see `ProcessPlan`."""
 
     def to_json(self) -> str:
         """One line."""

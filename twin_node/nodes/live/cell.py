@@ -42,7 +42,7 @@ class CellNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._parameters = parameters
         self._finish = setup.finish
-        self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario))
+        self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario), draws_noise_once=True)
         self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
         self._stop = threading.Event()
         self._thread = OwnThread("cell", self._send, setup.finish)
