@@ -16,30 +16,31 @@ class Ways {
  public:
   // Rows of shifts and reaches: the parts, their rims, what may start, and then every step of those that turn, and of
   // those that swerve, whose rims do not.
-  explicit Ways(const AheadRequest &request)
-      : r_(request), number_(request.parts, -1), aside_number_(request.parts, -1) {
+  explicit Ways(const AheadRequest &request) : r_(request) {
     for (int64_t part = 0; part < r_.parts; part++) {
-      if (turns(part)) number_[part] = static_cast<int64_t>(turning_.size()), turning_.push_back(part);
-      if (r_.swerving[part]) {
-        aside_number_[part] = static_cast<int64_t>(swerving_.size());
-        swerving_.push_back(part);
-      }
+      if (turns(part)) turning_.push_back(part);
+      if (r_.swerving[part]) swerving_.push_back(part);
     }
     steps_ = steps(2 * longest(turning_, nullptr)), aside_steps_ = steps(longest(swerving_, r_.swerved));
-    // a part and its rim turn together: the rims' numbers come after all of the parts'
-    first_aside_ = 2 * r_.parts + 1 + 2 * steps_ * static_cast<int64_t>(turning_.size());
-    rows_ = first_aside_ + aside_steps_ * static_cast<int64_t>(swerving_.size());
+    rows_ = 2 * r_.parts + 1 + 2 * steps_ * static_cast<int64_t>(turning_.size()) +
+            aside_steps_ * static_cast<int64_t>(swerving_.size());
     shifts_.resize(r_.layers * rows_ * 3), reaches_.resize(r_.layers * rows_);
     for (int64_t layer = 0; layer < r_.layers; layer++) place(layer);
-    list_points();
   }
 
   void grow() const {
-    GrowRequest grid = r_.grid;
-    grid.points = static_cast<int64_t>(labels_.size()), grid.layers = r_.layers, grid.parts = static_cast<int32_t>(rows_);
-    grid.places = places_.data(), grid.labels = labels_.data(), grid.cores = cores_.data();
-    grid.shifts = shifts_.data(), grid.reaches = reaches_.data();
-    forecast::grow(grid);
+    Balls balls(r_.grid);
+    balls.shifts = shifts_.data(), balls.reaches = reaches_.data();
+    balls.groups = groups(), balls.cored = r_.parts;
+    const auto place = [&](int64_t i, int axis) {
+      return i < r_.voxels ? r_.places[axis * r_.voxels + i] : r_.rest[axis * r_.resting + i - r_.voxels];
+    };
+    const auto group = [&](int64_t i) {
+      return i < r_.voxels ? r_.labels[i] + (r_.likely[i] ? 0 : r_.parts) : 2 * r_.parts;
+    };
+    const auto core = [&](int64_t i) { return i < r_.voxels && r_.likely[i]; };
+    balls.list(r_.voxels + r_.resting, 2 * r_.parts + 1, place, group, core);
+    forecast::grow(balls);
   }
 
  private:
@@ -134,49 +135,24 @@ class Ways {
     reaches_[row] = *level;
   }
 
-  void list_points() {
-    const int64_t voxels = r_.voxels, first = 2 * r_.parts + 1, turning = static_cast<int64_t>(turning_.size());
-    std::vector<int64_t> mine, swerve;  // voxels of parts that turn; those of parts that swerve
-    for (int64_t i = 0; i < voxels; i++) {
-      if (steps_ > 0 && number_[r_.labels[i]] >= 0) mine.push_back(i);
-      if (aside_steps_ > 0 && r_.likely[i] && aside_number_[r_.labels[i]] >= 0) swerve.push_back(i);
-    }
-    const int64_t turned = steps_ * static_cast<int64_t>(mine.size());
-    const int64_t points = voxels + r_.resting + turned + aside_steps_ * static_cast<int64_t>(swerve.size());
-    labels_.reserve(points), cores_.assign(points, 0), places_.resize(3 * points);
-    for (int64_t i = 0; i < voxels; i++) labels_.push_back(r_.labels[i] + (r_.likely[i] ? 0 : r_.parts));
-    labels_.insert(labels_.end(), r_.resting, 2 * r_.parts);
-    std::copy_n(r_.likely, voxels, cores_.begin());
+  // Of whose points each row is: of the parts, of their rims, and of what may start.
+  std::vector<int64_t> groups() const {
+    std::vector<int64_t> found;
+    found.reserve(rows_);
+    for (int64_t group = 0; group <= 2 * r_.parts; group++) found.push_back(group);
     for (int64_t step = 0; step < steps_; step++) {
-      for (const int64_t i : mine) {
-        labels_.push_back(first + 2 * turning * step + (r_.likely[i] ? 0 : turning) + number_[r_.labels[i]]);
-      }
+      found.insert(found.end(), turning_.begin(), turning_.end());
+      for (const int64_t part : turning_) found.push_back(r_.parts + part);
     }
-    for (int64_t step = 0; step < aside_steps_; step++) {
-      const int64_t row = first_aside_ + step * static_cast<int64_t>(swerving_.size());
-      for (const int64_t i : swerve) labels_.push_back(row + aside_number_[r_.labels[i]]);
-    }
-    for (int axis = 0; axis < 3; axis++) {
-      const int32_t *from = r_.places + axis * voxels;
-      auto to = std::copy_n(from, voxels, places_.begin() + axis * points);
-      to = std::copy_n(r_.rest + axis * r_.resting, r_.resting, to);
-      for (int64_t step = 0; step < steps_; step++) {
-        for (const int64_t i : mine) *to++ = from[i];
-      }
-      for (int64_t step = 0; step < aside_steps_; step++) {
-        for (const int64_t i : swerve) *to++ = from[i];
-      }
-    }
+    for (int64_t step = 0; step < aside_steps_; step++) found.insert(found.end(), swerving_.begin(), swerving_.end());
+    return found;
   }
 
   const AheadRequest &r_;
-  std::vector<int64_t> number_, turning_;         // of each part among those that turn, or -1; those
-  std::vector<int64_t> aside_number_, swerving_;  // the same of those that swerve
-  int64_t steps_ = 0, aside_steps_ = 0, first_aside_ = 0, rows_ = 0;
-  std::vector<int32_t> shifts_, places_;
+  std::vector<int64_t> turning_, swerving_;  // parts
+  int64_t steps_ = 0, aside_steps_ = 0, rows_ = 0;
+  std::vector<int32_t> shifts_;
   std::vector<uint16_t> reaches_;
-  std::vector<uint8_t> cores_;
-  std::vector<int64_t> labels_;
 };
 
 }  // namespace forecast

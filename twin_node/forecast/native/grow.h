@@ -3,9 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <mutex>
+#include <utility>
 #include <vector>
 
+#include "balls.h"
 #include "bits.h"
 #include "interface.h"
 
@@ -15,19 +18,23 @@ constexpr int kPerVoxel = 4;  // units of reach in a voxel's edge
 
 // Balls of one radius in one layer.
 struct Task {
-  int layer, level;
-  std::vector<int64_t> points;
+  int64_t layer;
+  int level;
+  std::vector<int64_t> rows;
   double cost;  // about proportional to the time that it takes
 };
 
-// A rectangle of columns of bits.
+// A rectangle of columns of bits, a plane for each word: what is done to columns is done to many of them at once.
 struct Columns {
   int x0, y0, width, depth, words;  // x from x0 on, y from y0 on
   std::vector<uint64_t> bits;
 
-  Columns(int x0, int y0, int width, int depth, int words)
-      : x0(x0), y0(y0), width(width), depth(depth), words(words), bits(static_cast<size_t>(width) * depth * words) {}
-  uint64_t *at(int x, int y) { return bits.data() + (static_cast<size_t>(x - x0) * depth + (y - y0)) * words; }
+  Columns(Range x, Range y, int words)
+      : x0(x.from), y0(y.from), width(x.size()), depth(y.size()), words(words), bits(plane() * words) {}
+  size_t plane() const { return static_cast<size_t>(width) * depth; }
+  uint64_t *at(int word, int x, int y) {
+    return bits.data() + word * plane() + static_cast<size_t>(x - x0) * depth + (y - y0);
+  }
 };
 
 // Largest whole number whose square is at most v; -1 for negative ones.
@@ -39,104 +46,157 @@ inline int whole_root(int v) {
   return root;
 }
 
-// Every run of set bits one longer at both ends.
-inline void lengthen(Columns &c) {
-  for (size_t first = 0; first < c.bits.size(); first += c.words) {
-    uint64_t *column = c.bits.data() + first;
-    uint64_t below = 0;
-    for (int w = 0; w < c.words; w++) {
-      const uint64_t own = column[w], above = w + 1 < c.words ? column[w + 1] : 0;
-      column[w] = own | own << 1 | own >> 1 | below >> 63 | above << 63;
-      below = own;
+// Every run of set bits one longer at both ends; `kept` is room for two planes.
+inline void lengthen(Columns &c, std::vector<uint64_t> &kept) {
+  const size_t plane = c.plane();
+  kept.assign(2 * plane, 0);
+  uint64_t *below = kept.data(), *here = below + plane;
+  for (int w = 0; w < c.words; w++) {
+    uint64_t *own = c.bits.data() + w * plane;
+    const bool is_last = w + 1 == c.words;
+    const uint64_t *above = is_last ? own : own + plane, used = is_last ? 0 : ~uint64_t{0};
+#pragma omp simd
+    for (size_t i = 0; i < plane; i++) {
+      const uint64_t bits = own[i];
+      here[i] = bits;
+      own[i] = bits | bits << 1 | bits >> 1 | below[i] >> 63 | (above[i] & used) << 63;
     }
+    std::swap(below, here);
   }
 }
 
 // `count` bits of each of the same columns, from bit `skipped` on.
 inline void crop(const Columns &from, int skipped, int count, Columns &to) {
   const int whole = skipped / 64, rest = skipped % 64;
-  const uint64_t used = count % 64 ? (uint64_t{1} << count % 64) - 1 : ~uint64_t{0};  // of the last word
-  for (size_t column = 0; column < static_cast<size_t>(from.width) * from.depth; column++) {
-    const uint64_t *source = from.bits.data() + column * from.words;
-    uint64_t *target = to.bits.data() + column * to.words;
-    for (int w = 0; w < to.words; w++) {
-      const uint64_t low = w + whole < from.words ? source[w + whole] : 0;
-      const uint64_t high = w + whole + 1 < from.words ? source[w + whole + 1] : 0;
-      target[w] = rest ? low >> rest | high << (64 - rest) : low;
+  const size_t plane = to.plane();
+  for (int w = 0; w < to.words; w++) {
+    const bool has_high = w + whole + 1 < from.words;
+    const uint64_t used = w + 1 == to.words && count % 64 ? (uint64_t{1} << count % 64) - 1 : ~uint64_t{0};
+    const uint64_t *low = from.bits.data() + (w + whole) * plane, *high = has_high ? low + plane : low;
+    const uint64_t joined = has_high && rest ? ~uint64_t{0} : 0;
+    uint64_t *target = to.bits.data() + w * plane;
+#pragma omp simd
+    for (size_t i = 0; i < plane; i++) {
+      target[i] = (low[i] >> rest | (high[i] & joined) << (rest ? 64 - rest : 0)) & used;
     }
-    target[to.words - 1] &= used;
   }
 }
 
-struct Place {
-  int x, y, z;
-};
-
-inline Place place_of(const GrowRequest &r, int layer, int64_t point) {
-  const int32_t *shift = r.shifts + 3 * (static_cast<int64_t>(layer) * r.parts + r.labels[point]);
-  return {r.places[point] + shift[0], r.places[r.points + point] + shift[1], r.places[2 * r.points + point] + shift[2]};
-}
-
-// The balls of a task, united into those columns of the grid that they may reach.
+// The balls of a task, united with what is reached already in those columns of the grid that they may reach.
+//
+// Whatever is reached in columns that are full by then is known: where bounds are as wide as the grid, and a task of a
+// larger radius came before, there is little left to do.
 class Union {
  public:
-  Union(const GrowRequest &request, const Task &task)
-      : r_(request), task_(task), whole_(task.level / kPerVoxel), tall_(marked()), grown_(reachable()) {
-    Columns inner(tall_.x0, tall_.y0, tall_.width, tall_.depth, grown_.words);
-    find_filled(tall_);
+  Union(const Balls &balls, const Task &task)
+      : b_(balls), r_(balls.grid), task_(task), whole_(task.level / kPerVoxel), grown_(reachable()) {}
+
+  // Takes over what a mask [nx, ny, words] holds.
+  void load(const uint64_t *mask) {
+    each_column([&](int w, int64_t x, int64_t y, uint64_t *own) { *own = mask[(x * r_.ny + y) * grown_.words + w]; });
+  }
+
+  // Adds the balls.
+  void grow() {
+    narrow();
+    Columns tall = marked();
+    if (tall.plane() == 0) return;
+    find_filled(tall);
+    Columns inner(range_x(tall), range_y(tall), grown_.words);
+    std::vector<uint64_t> kept;
     for (int height = 0; height <= whole_; height++) {
-      if (height > 0) lengthen(tall_);
-      crop(tall_, whole_, r_.nz, inner);
+      if (height > 0) lengthen(tall, kept);
+      crop(tall, whole_, r_.nz, inner);
       unite(inner, height);
     }
   }
 
-  // Sets them in a mask [nx, ny, words].
-  void enter(uint64_t *mask) const {
-    const int64_t row = static_cast<int64_t>(grown_.depth) * grown_.words;
-    for (int64_t x = 0; x < grown_.width; x++) {
-      const uint64_t *own = grown_.bits.data() + x * row;
-      uint64_t *to = mask + ((grown_.x0 + x) * r_.ny + grown_.y0) * grown_.words;
-      for (int64_t w = 0; w < row; w++) to[w] |= own[w];
-    }
+  // Sets all of them in that mask.
+  void enter(uint64_t *mask) {
+    each_column([&](int w, int64_t x, int64_t y, uint64_t *own) { mask[(x * r_.ny + y) * grown_.words + w] |= *own; });
   }
 
  private:
-  // Columns of the grid about those with middles: all points of a task reach the grid.
-  Columns reachable() const {
-    const int x0 = std::max(tall_.x0 - whole_, 0), x1 = std::min(tall_.x0 + tall_.width + whole_, r_.nx);
-    const int y0 = std::max(tall_.y0 - whole_, 0), y1 = std::min(tall_.y0 + tall_.depth + whole_, r_.ny);
-    return Columns(x0, y0, x1 - x0, y1 - y0, words_of(r_.nz));
+  static Range range_x(const Columns &c) { return {c.x0, c.x0 + c.width}; }
+  static Range range_y(const Columns &c) { return {c.y0, c.y0 + c.depth}; }
+
+  template <class Visit>
+  void each_column(const Visit &visit) {
+    for (int x = grown_.x0; x < grown_.x0 + grown_.width; x++) {
+      for (int w = 0; w < grown_.words; w++) {
+        uint64_t *own = grown_.at(w, x, grown_.y0);
+        for (int y = grown_.y0; y < grown_.y0 + grown_.depth; y++) visit(w, x, y, own++);
+      }
+    }
   }
 
-  // The balls' middles; bit 0 is `whole_` voxels below the grid.
+  // Where the balls' middles may be to reach the grid.
+  Cuboid reaching() const { return {{-whole_, r_.nx + whole_}, {-whole_, r_.ny + whole_}, {-whole_, r_.nz + whole_}}; }
+
+  // Columns of the grid about those with middles.
+  Columns reachable() const {
+    Cuboid about;
+    for (const int64_t row : task_.rows) about.take_in(b_.box(task_.layer, row).within(reaching()));
+    return Columns(
+        about.axes[0].wider(whole_).within({0, r_.nx}), about.axes[1].wider(whole_).within({0, r_.ny}), words_of(r_.nz));
+  }
+
+  // The middles of balls that reach columns which are not full; bit 0 is `whole_` voxels below the grid.
   Columns marked() const {
-    int low[2] = {r_.nx + whole_, r_.ny + whole_}, high[2] = {-whole_, -whole_};
-    for (const int64_t point : task_.points) {
-      const Place p = place_of(r_, task_.layer, point);
-      low[0] = std::min(low[0], p.x), high[0] = std::max(high[0], p.x);
-      low[1] = std::min(low[1], p.y), high[1] = std::max(high[1], p.y);
+    Range open_x, open_y;
+    for (int i = 0; i < grown_.width; i++) {
+      if (open_[i].is_empty()) continue;
+      open_x.take_in({grown_.x0 + i, grown_.x0 + i + 1}), open_y.take_in(open_[i]);
     }
-    Columns marks(low[0], low[1], high[0] - low[0] + 1, high[1] - low[1] + 1, words_of(r_.nz + 2 * whole_));
-    for (const int64_t point : task_.points) {
-      const Place p = place_of(r_, task_.layer, point);
-      const int bit = p.z + whole_;
-      marks.at(p.x, p.y)[bit / 64] |= uint64_t{1} << bit % 64;
+    if (open_x.is_empty()) return Columns({0, 0}, {0, 0}, 1);
+    const Cuboid wanted = Cuboid(open_x.wider(whole_), open_y.wider(whole_), reaching().axes[2]).within(reaching());
+    Cuboid about;
+    for (const int64_t row : task_.rows) about.take_in(b_.box(task_.layer, row).within(wanted));
+    if (about.is_empty()) return Columns({0, 0}, {0, 0}, 1);
+    Columns marks(about.axes[0], about.axes[1], words_of(r_.nz + 2 * whole_));
+    const size_t plane = marks.plane();
+    const int x0 = marks.x0, y0 = marks.y0, z0 = -whole_;
+    const int64_t depth = marks.depth;
+    uint64_t *bits = marks.bits.data();
+    for (const int64_t row : task_.rows) {
+      const Cuboid box = b_.box(task_.layer, row);
+      if (box.within(wanted).is_empty()) continue;
+      b_.each_place(task_.layer, row, box.is_within(wanted) ? nullptr : &wanted, [&](int x, int y, int z) {
+        const unsigned bit = z - z0;
+        bits[bit / 64 * plane + (x - x0) * depth + (y - y0)] |= uint64_t{1} << bit % 64;
+      });
     }
     return marks;
   }
 
   // First and one past the last column of each row that is not empty.
-  void find_filled(const Columns &marks) {
-    first_.assign(marks.width, marks.depth);
-    last_.assign(marks.width, 0);
-    for (int x = 0; x < marks.width; x++) {
-      const uint64_t *row = marks.bits.data() + static_cast<size_t>(x) * marks.depth * marks.words;
-      for (int y = 0; y < marks.depth; y++) {
-        uint64_t any = 0;
-        for (int w = 0; w < marks.words; w++) any |= row[static_cast<size_t>(y) * marks.words + w];
-        if (any) first_[x] = std::min(first_[x], y), last_[x] = y + 1;
+  void find_filled(Columns &marks) {
+    filled_.assign(marks.width, {});
+    for (int w = 0; w < marks.words; w++) {
+      for (int x = 0; x < marks.width; x++) {
+        const uint64_t *row = marks.at(w, marks.x0 + x, marks.y0);
+        for (int y = 0; y < marks.depth; y++) {
+          if (row[y]) filled_[x].take_in({marks.y0 + y, marks.y0 + y + 1});
+        }
       }
+    }
+  }
+
+  bool is_full(int x, int y) {
+    for (int w = 0; w < grown_.words; w++) {
+      const bool is_part = w + 1 == grown_.words && r_.nz % 64;
+      if (*grown_.at(w, x, y) != (is_part ? (uint64_t{1} << r_.nz % 64) - 1 : ~uint64_t{0})) return false;
+    }
+    return true;
+  }
+
+  // Leaves full columns at the ends of rows out from now on.
+  void narrow() {
+    open_.assign(grown_.width, range_y(grown_));
+    for (int x = grown_.x0; x < grown_.x0 + grown_.width; x++) {
+      Range &open = open_[x - grown_.x0];
+      while (!open.is_empty() && is_full(x, open.from)) open.from++;
+      while (!open.is_empty() && is_full(x, open.to - 1)) open.to--;
     }
   }
 
@@ -155,75 +215,76 @@ class Union {
   }
 
   void shift_in(Columns &columns, int dx, int dy) {
-    const int from = std::max(columns.x0, -dx), to = std::min(columns.x0 + columns.width, r_.nx - dx);
-    for (int x = from; x < to; x++) {
-      const int row = x - columns.x0;
-      const int start = std::max(columns.y0 + first_[row], -dy), stop = std::min(columns.y0 + last_[row], r_.ny - dy);
-      if (start >= stop) continue;
-      const uint64_t *source = columns.at(x, start);
-      uint64_t *target = grown_.at(x + dx, start + dy);
-      const int count = (stop - start) * grown_.words;
+    const Range rows = range_x(columns).within({grown_.x0 - dx, grown_.x0 + grown_.width - dx});
+    for (int x = rows.from; x < rows.to; x++) {
+      const Range &open = open_[x + dx - grown_.x0];
+      const Range some = filled_[x - columns.x0].within({open.from - dy, open.to - dy});
+      if (some.is_empty()) continue;
+      for (int w = 0; w < grown_.words; w++) {
+        const uint64_t *source = columns.at(w, x, some.from);
+        uint64_t *target = grown_.at(w, x + dx, some.from + dy);
+        const int count = some.size();
 #pragma omp simd
-      for (int i = 0; i < count; i++) target[i] |= source[i];
+        for (int i = 0; i < count; i++) target[i] |= source[i];
+      }
     }
   }
 
+  const Balls &b_;
   const GrowRequest &r_;
   const Task &task_;
   const int whole_;
-  Columns tall_, grown_;
-  std::vector<int> first_, last_;
+  Columns grown_;
+  std::vector<Range> filled_;  // columns of each row of the middles
+  std::vector<Range> open_;    // columns of each row of `grown_`: all beside them are full
 };
 
-// One task per radius of a layer, of the points that reach the grid.
-inline std::vector<Task> layer_tasks(const GrowRequest &r, int layer) {
-  const uint16_t *reaches = r.reaches + static_cast<int64_t>(layer) * r.parts;
-  const int levels = r.parts > 0 ? *std::max_element(reaches, reaches + r.parts) + 1 : 0;
-  std::vector<int64_t> most(levels);
-  for (int64_t point = 0; point < r.points; point++) most[reaches[r.labels[point]]]++;
+// One task per radius of a layer, of the rows that reach the grid.
+inline std::vector<Task> layer_tasks(const Balls &b, int64_t layer) {
+  const GrowRequest &r = b.grid;
+  const uint16_t *reaches = b.reaches + layer * b.rows();
+  const int levels = b.rows() > 0 ? *std::max_element(reaches, reaches + b.rows()) + 1 : 0;
   std::vector<std::vector<int64_t>> members(levels);
-  for (int level = 0; level < levels; level++) members[level].reserve(most[level]);
-  for (int64_t point = 0; point < r.points; point++) {
-    const int level = reaches[r.labels[point]], whole = level / kPerVoxel;
-    const Place p = place_of(r, layer, point);
-    if (p.x < -whole || p.x >= r.nx + whole || p.y < -whole || p.y >= r.ny + whole || p.z < -whole ||
-        p.z >= r.nz + whole) {
-      continue;
-    }
-    members[level].push_back(point);
+  std::vector<int64_t> points(levels);
+  for (int64_t row = 0; row < b.rows(); row++) {
+    const int level = reaches[row], whole = level / kPerVoxel;
+    const Cuboid near({-whole, r.nx + whole}, {-whole, r.ny + whole}, {-whole, r.nz + whole});
+    if (b.box(layer, row).within(near).is_empty()) continue;
+    members[level].push_back(row), points[level] += b.points(row);
   }
   std::vector<Task> tasks;
   for (int level = 0; level < levels; level++) {
     if (members[level].empty()) continue;
-    const double cost = static_cast<double>(level + kPerVoxel) * (level + kPerVoxel) * members[level].size();
+    const double cost = static_cast<double>(level + kPerVoxel) * (level + kPerVoxel) * points[level];
     tasks.push_back({layer, level, std::move(members[level]), cost});
   }
   return tasks;
 }
 
 // Columns of a layer's masks that its balls may reach are cleared.
-inline void clear_planes(const GrowRequest &r, int layer, const std::vector<Task> &tasks) {
-  int64_t first = r.nx, last = 0;
+inline void clear_planes(const Balls &b, int64_t layer, const std::vector<Task> &tasks) {
+  const GrowRequest &r = b.grid;
+  Range x;
   for (const Task &task : tasks) {
-    const int64_t whole = task.level / kPerVoxel;
-    for (const int64_t point : task.points) {
-      const int64_t x = place_of(r, layer, point).x;
-      first = std::min(first, x - whole), last = std::max(last, x + whole + 1);
-    }
+    for (const int64_t row : task.rows) x.take_in(b.box(layer, row).axes[0].wider(task.level / kPerVoxel));
   }
-  first = std::max<int64_t>(first, 0), last = std::max(std::min<int64_t>(last, r.nx), first);
+  x = x.within({0, r.nx});
+  const int64_t first = x.is_empty() ? 0 : x.from, last = x.is_empty() ? 0 : x.to;
   r.planes[2 * layer] = first, r.planes[2 * layer + 1] = last;
   const int64_t row = static_cast<int64_t>(r.ny) * words_of(r.nz), begin = (layer * int64_t{r.nx} + first) * row;
   std::fill_n(r.reached + begin, (last - first) * row, 0);
   std::fill_n(r.core + begin, (last - first) * row, 0);
 }
 
-inline void mark_cores(const GrowRequest &r, const Task &task, uint64_t *mask) {
-  for (const int64_t point : task.points) {
-    if (!r.cores[point]) continue;
-    const Place p = place_of(r, task.layer, point);
-    if (p.x < 0 || p.x >= r.nx || p.y < 0 || p.y >= r.ny || p.z < 0 || p.z >= r.nz) continue;
-    mask[(static_cast<int64_t>(p.x) * r.ny + p.y) * words_of(r.nz) + p.z / 64] |= uint64_t{1} << p.z % 64;
+inline void mark_cores(const Balls &b, const Task &task, uint64_t *mask) {
+  const GrowRequest &r = b.grid;
+  const Cuboid grid({0, r.nx}, {0, r.ny}, {0, r.nz});
+  const int64_t words = words_of(r.nz);
+  for (const int64_t row : task.rows) {
+    if (!b.has_cores(row)) continue;
+    b.each_core(task.layer, row, grid, [&](int64_t x, int64_t y, int z) {
+      mask[(x * r.ny + y) * words + z / 64] |= uint64_t{1} << z % 64;
+    });
   }
 }
 
@@ -236,12 +297,13 @@ inline int64_t count_planes(const GrowRequest &r, int64_t layer) {
   return count;
 }
 
-inline void grow(const GrowRequest &r) {
+inline void grow(const Balls &b) {
+  const GrowRequest &r = b.grid;
   const int64_t size = static_cast<int64_t>(r.nx) * r.ny * words_of(r.nz);
   std::vector<std::vector<Task>> layers(r.layers);
   crew::parallel_for(r.threads, r.layers, [&](int64_t layer) {
-    layers[layer] = layer_tasks(r, static_cast<int>(layer));
-    clear_planes(r, static_cast<int>(layer), layers[layer]);
+    layers[layer] = layer_tasks(b, layer);
+    clear_planes(b, layer, layers[layer]);
   });
   std::vector<const Task *> tasks;
   for (const std::vector<Task> &own : layers) {
@@ -251,10 +313,16 @@ inline void grow(const GrowRequest &r) {
   std::vector<std::mutex> writing(r.layers);
   crew::parallel_for(r.threads, static_cast<int64_t>(tasks.size()), [&](int64_t i) {
     const Task &task = *tasks[i];
-    const Union balls(r, task);
+    uint64_t *reached = r.reached + task.layer * size;
+    Union balls(b, task);
+    {
+      const std::lock_guard<std::mutex> lock(writing[task.layer]);
+      balls.load(reached);
+    }
+    balls.grow();
     const std::lock_guard<std::mutex> lock(writing[task.layer]);
-    balls.enter(r.reached + task.layer * size);
-    mark_cores(r, task, r.core + task.layer * size);
+    balls.enter(reached);
+    mark_cores(b, task, r.core + task.layer * size);
   });
   crew::parallel_for(r.threads, r.layers, [&](int64_t layer) { r.counts[layer] = count_planes(r, layer); });
 }

@@ -33,7 +33,7 @@ extern "C" {
 int32_t forecast_interface_version() { return forecast::kInterfaceVersion; }
 
 int32_t forecast_grow(const forecast::GrowRequest *request) {
-  return guarded([&] { forecast::grow(*request); });
+  return guarded([&] { forecast::grow(forecast::balls_of(*request)); });
 }
 
 int32_t forecast_grow_ahead(const forecast::AheadRequest *request) {
