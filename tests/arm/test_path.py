@@ -20,6 +20,7 @@ from twin_node.arm import (
     sample_path,
 )
 from twin_node.arm.inverse import reach_down
+from twin_node.arm.path import SampledPath
 from twin_node.robot import UR_NAMES, RobotError, arm_model, forward_kinematics, ur_model
 from twin_node.scene import JointPath, JointSample
 
@@ -49,6 +50,37 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
     assert np.ptp(q[:, 0]) < np.pi  # from pick to place the short way
     checker = ArmCollisionChecker(model, max_obstacles=1)
     assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
+
+
+@given(
+    steps=st.lists(st.integers(1, 10**9), max_size=6),
+    begin=st.integers(-(10**18), 2 * 10**18),
+    shares=st.lists(st.floats(-0.2, 1.2), max_size=10),
+)
+def test_one_time_after_another_is_sampled_as_all_at_once(steps: list[int], begin: int, shares: list[float]) -> None:
+    stamps = begin + np.cumsum([0, *steps], dtype=np.int64)
+    positions = np.sin(np.arange(2.0 * len(stamps))).reshape(-1, 2)
+    path = JointPath(("a", "b"), stamps, positions)
+    lasting = int(stamps[-1] - stamps[0])
+    times = np.concatenate([stamps, [begin + round(share * lasting) for share in shares]]).astype(np.int64)
+    sampled = SampledPath(path)
+    one_by_one = np.array([sampled.at(int(time)) for time in times])
+    np.testing.assert_allclose(one_by_one, sample_path(path, times), rtol=0, atol=1e-12)
+
+
+def test_where_a_path_was_asked_for_may_be_written_to() -> None:
+    path = JointPath(("a",), np.array([0, 10]), np.array([[1.0], [2.0]]))
+    sampled = SampledPath(path)
+    for stamp in (-5, 0, 5, 10, 15):
+        sampled.at(stamp)[:] = np.nan
+    np.testing.assert_array_equal(path.positions, [[1.0], [2.0]])
+
+
+def test_a_cycle_repeats_its_template() -> None:
+    cycle = default_path(ur_model("ur5e"))
+    for stamp in (0, 3, 1_234_567_891, cycle.period_ns - 1, cycle.period_ns, 7 * cycle.period_ns + 5, -1):
+        expected = sample_path(cycle.template, np.array([stamp % cycle.period_ns]))[0]
+        np.testing.assert_allclose(cycle.at(stamp), expected, rtol=0, atol=1e-12)
 
 
 def test_the_cycle_picks_and_places_inside_the_workspace_with_the_tool_down() -> None:

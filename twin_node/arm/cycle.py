@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.inverse import reach_down
-from twin_node.arm.path import ahead_offsets, sample_path
+from twin_node.arm.path import SampledPath, ahead_offsets, sample_path
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, JointPath
 
@@ -46,15 +47,18 @@ class CyclicPath:
     template: JointPath
     """One period; stamps start at 0."""
 
-    @property
+    @cached_property
     def period_ns(self) -> int:
         """Length of one period, ns."""
         return int(self.template.stamps[-1])
 
+    @cached_property
+    def _sampled(self) -> SampledPath:
+        return SampledPath(self.template)
+
     def at(self, stamp: int) -> Float64:
         """Joint positions [J] (rad) at a time, ns."""
-        position: Float64 = sample_path(self.template, np.array([stamp % self.period_ns]))[0]
-        return position
+        return self._sampled.at(stamp % self.period_ns)
 
     def ahead(self, stamp: int, speed_fraction: float = 1.0) -> JointPath:
         """The next 200 ms from a time on (ns), for an arm whose program runs at a fraction of its speed."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,35 @@ def sample_path(path: JointPath, stamps: NDArray[np.integer]) -> Float64:
 
     Raises `ArmError` for a path without samples, with unsorted stamps, with the wrong shape or with values not finite.
     """
+    _check(path)
+    start = path.stamps[0]
+    times = (np.asarray(stamps) - start).astype(np.float64)
+    knots = (path.stamps - start).astype(np.float64)
+    return np.stack([np.interp(times, knots, column) for column in path.positions.T], axis=-1)
+
+
+class SampledPath:
+    """A path that is checked once, for those who ask it for one time after another: `sample_path` with less to do."""
+
+    def __init__(self, path: JointPath) -> None:
+        """Raises `ArmError` as `sample_path` does."""
+        _check(path)
+        self._stamps: list[int] = path.stamps.tolist()
+        self._positions: Float64 = np.asarray(path.positions, dtype=np.float64)
+        self._velocities = np.diff(self._positions, axis=0) / np.diff(path.stamps)[:, None]
+        """[T - 1, J] rad/ns."""
+
+    def at(self, stamp: int) -> Float64:
+        """Joint positions [J] (rad) at a time, ns."""
+        after = bisect_right(self._stamps, stamp)
+        before = max(after - 1, 0)
+        position: Float64 = self._positions[before].copy()
+        if 0 < after < len(self._stamps):
+            position += self._velocities[before] * (stamp - self._stamps[before])
+        return position
+
+
+def _check(path: JointPath) -> None:
     if len(path.stamps) == 0 or path.positions.shape != (len(path.stamps), len(path.names)):
         raise ArmError(
             f"joint path: expected positions of shape ({len(path.stamps)}, {len(path.names)}) with at least one row, "
@@ -37,10 +68,6 @@ def sample_path(path: JointPath, stamps: NDArray[np.integer]) -> Float64:
         raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
     if not np.isfinite(path.positions).all():
         raise ArmError("joint path: expected finite angles, found NaN or infinity; check the trajectory")
-    start = path.stamps[0]
-    times = (np.asarray(stamps) - start).astype(np.float64)
-    knots = (path.stamps - start).astype(np.float64)
-    return np.stack([np.interp(times, knots, column) for column in path.positions.T], axis=-1)
 
 
 def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
