@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -75,7 +76,7 @@ class Controller:
         self.slider = 1.0
         self.scale = 0.0
         """Share of the programmed speed at which motions advance: it follows the slider within 0.2 s."""
-        self._stopped_at = -np.inf
+        self._stopped_at = -math.inf
         self._tell()
 
     @property
@@ -188,10 +189,10 @@ class Controller:
         return self.safety_mode is SafetyMode.NORMAL and self.robot_mode is RobotMode.RUNNING
 
     def _slide(self, fraction: float) -> None:
-        if not np.isfinite(fraction):
+        if not math.isfinite(fraction):
             self.stop(f"speed slider: expected a share from 0 to 1, found {fraction:g}")
             return
-        fraction = float(np.clip(fraction, 0.0, 1.0))
+        fraction = min(max(fraction, 0.0), 1.0)
         if (fraction == 0) != (self.slider == 0):
             self.note("speed slider at zero" if fraction == 0 else "speed slider above zero")
         self.slider = fraction
@@ -200,7 +201,7 @@ class Controller:
         if watchdog is None:
             return
         silence = self.clock - self.inputs.written(watchdog.variable)
-        heard = f"{silence * 1e3:.0f} ms" if np.isfinite(silence) else "ever"
+        heard = f"{silence * 1e3:.0f} ms" if math.isfinite(silence) else "ever"
         why = f"watchdog: no update of {watchdog.variable} for {heard}"
         if watchdog.action is WatchdogAction.PAUSE:
             self.pause(why)
@@ -212,7 +213,7 @@ class Controller:
         is_safe = self.safety_mode is SafetyMode.NORMAL
         wanted = self.slider if self.runtime_state is RuntimeState.PLAYING else 0.0
         step = (_SLOWING_PER_S if is_safe else _SAFETY_SLOWING_PER_S) * PERIOD_S
-        self.scale += float(np.clip(wanted - self.scale, -step, step))
+        self.scale += min(max(wanted - self.scale, -step), step)
         before = self.target
         held = self.program is not None and self.runtime_state is not RuntimeState.PLAYING
         motion = Hold() if held and not self.motion.can_be_slowed else self.motion
@@ -223,13 +224,15 @@ class Controller:
 
     def _settle(self) -> None:
         """Programs that were told to stop or pause have done so when the arm stands, and not where its path pauses."""
+        if self.runtime_state not in (RuntimeState.STOPPING, RuntimeState.PAUSING):
+            return
         goes_on = self.program is not None and self.motion.can_be_slowed and self.scale > 0
         if goes_on or not self.target.is_standing:
             return
         if self.runtime_state is RuntimeState.STOPPING:
             self.runtime_state = RuntimeState.STOPPED
             self.note("standing: program stopped")
-        elif self.runtime_state is RuntimeState.PAUSING:
+        else:
             self.runtime_state = RuntimeState.PAUSED
             self.note("standing: program paused")
 

@@ -144,7 +144,8 @@ class ServoJ:
 
     def advance(self, target: Target, dt: float, scale: float) -> Target:
         """Close in on the goal within the look-ahead time; servoj knows no speed slider."""
-        wanted = np.clip((self._goal - target.q) / self._lookahead_s, -self._max_velocity, self._max_velocity)
+        wanted = (self._goal - target.q) / self._lookahead_s
+        wanted = np.minimum(np.maximum(wanted, -self._max_velocity), self._max_velocity)
         qd = _towards(target.qd, wanted, SERVO_ACCELERATION * dt)
         return Target(target.q + qd * dt, qd)
 
@@ -167,5 +168,5 @@ class SpeedJ:
 
 def _towards(current: Float64, wanted: Float64, step: float) -> Float64:
     """Each element moved towards what is wanted, by `step` at most."""
-    moved: Float64 = current + np.clip(wanted - current, -step, step)
+    moved: Float64 = current + np.minimum(np.maximum(wanted - current, -step), step)
     return moved

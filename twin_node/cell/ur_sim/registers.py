@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -116,7 +117,7 @@ class Inputs:
 
     def written(self, name: str) -> float:
         """When a variable last came, s; minus infinity: never."""
-        return self._written.get(name, -np.inf)
+        return self._written.get(name, -math.inf)
 
     def number(self, name: str) -> float:
         """A scalar's value."""
@@ -131,7 +132,7 @@ class Inputs:
         """A double register's value; raises `CellError` where that is no finite number."""
         name = f"input_double_register_{register}"
         value = self.number(name)
-        if not np.isfinite(value):
+        if not math.isfinite(value):
             raise CellError(f"{name}: expected a finite number, found {value:g}; correct the command")
         return value
 

@@ -26,25 +26,27 @@ class SimulatedArm:
         self._engine.opt.timestep = period_s
         self._data = mujoco.MjData(self._engine)
         self._data.qpos[:] = q
+        self._qpos, self._qvel = self._data.qpos, self._data.qvel
+        self._bias, self._applied = self._data.qfrc_bias, self._data.qfrc_applied
         self._torque = np.zeros(self._engine.nv)
         mujoco.mj_forward(self._engine, self._data)
 
     @property
     def q(self) -> Float64:
         """Joint angles [6], rad."""
-        return np.array(self._data.qpos)
+        return np.array(self._qpos)
 
     @property
     def qd(self) -> Float64:
         """Joint velocities [6], rad/s."""
-        return np.array(self._data.qvel)
+        return np.array(self._qvel)
 
     def step(self, q: Float64, qd: Float64, qdd: Float64) -> None:
         """One period towards target angles, velocities and accelerations [6] (rad, rad/s, rad/s^2)."""
         data = self._data
-        wanted = qdd + _BANDWIDTH**2 * (q - data.qpos) + 2 * _BANDWIDTH * (qd - data.qvel)
+        wanted = qdd + _BANDWIDTH**2 * (q - self._qpos) + 2 * _BANDWIDTH * (qd - self._qvel)
         mujoco.mj_mulM(self._engine, data, self._torque, wanted)
-        data.qfrc_applied[:] = self._torque + data.qfrc_bias
+        np.add(self._torque, self._bias, out=self._applied)
         mujoco.mj_step(self._engine, data)
 
     def tool_pose(self, tcp_offset: Float64) -> Float64:
