@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from twin_node.cell.errors import CellError
-from twin_node.cell.ur_sim import Controller, ControllerParameters, StandInParameters, Watchdog, WatchdogAction
+from twin_node.cell.ur_sim import (
+    Controller,
+    ControllerParameters,
+    StandIn,
+    StandInParameters,
+    Watchdog,
+    WatchdogAction,
+    free_loopback,
+)
 from twin_node.cell.ur_sim.control_script import Command, ControlScript
 from twin_node.cell.ur_sim.controller import PERIOD_S
 from twin_node.cell.ur_sim.dashboard import answer
@@ -353,3 +362,16 @@ def test_watchdogs_that_no_program_can_set_are_refused(variable: str, hz: float)
 
 def test_safety_modes_have_their_bits() -> None:
     assert [mode.status_bits for mode in SafetyMode] == [1, 0b10000000100, 0b10011000000]
+
+
+def test_what_is_raised_in_a_period_ends_the_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = StandIn(StandInParameters(host=free_loopback(), admin_port=None))
+
+    def fail() -> None:
+        if stand_in.controller.clock > 0:
+            raise RuntimeError("no more")
+        stand_in.controller._periods += 1
+
+    monkeypatch.setattr(stand_in.controller, "tick", fail)
+    with pytest.raises(RuntimeError, match="no more"):
+        asyncio.run(stand_in.run(lambda: None))

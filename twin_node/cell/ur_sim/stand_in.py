@@ -157,20 +157,39 @@ class StandIn:
             self.note(str(error))
 
     async def _tick_for_ever(self) -> None:
+        """Period after period, by timers of the loop: a task that sleeps takes it twice the work."""
         ask_for_realtime(_PRIORITY)
         loop = asyncio.get_running_loop()
-        due = loop.time()
         while True:
-            if self._restart_s is not None:
-                await self._begin_anew(self._restart_s)
-                due = loop.time()
-            if not self.faults.is_frozen:
-                self.controller.tick()
-                for connection in list(self.connections):
-                    if isinstance(connection, RtdeConnection):
-                        connection.push()
-            due = max(due + PERIOD_S * self.faults.slowness, loop.time() - _MOST_LATE_S)
-            await asyncio.sleep(max(due - loop.time(), 0.0))
+            restart: asyncio.Future[float] = loop.create_future()
+            self._tick(loop.time(), restart)
+            await self._begin_anew(await restart)
+
+    def _tick(self, due: float, restart: asyncio.Future[float]) -> None:
+        """The period that is due at a time (s of the loop), and a timer for the next one.
+
+        There is none where `restart` is cancelled, or is told here: after how long, or what was raised.
+        """
+        if restart.cancelled():
+            return
+        if self._restart_s is not None:
+            restart.set_result(self._restart_s)
+            return
+        try:
+            self._pass_period()
+        except Exception as error:  # whoever waits ends by it
+            restart.set_exception(error)
+            return
+        loop = restart.get_loop()
+        due = max(due + PERIOD_S * self.faults.slowness, loop.time() - _MOST_LATE_S)
+        loop.call_at(due, self._tick, due, restart)
+
+    def _pass_period(self) -> None:
+        if not self.faults.is_frozen:
+            self.controller.tick()
+            for connection in list(self.connections):
+                if isinstance(connection, RtdeConnection):
+                    connection.push()
 
     async def _begin_anew(self, after_s: float) -> None:
         self._restart_s = None
