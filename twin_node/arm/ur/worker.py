@@ -80,15 +80,17 @@ def _lost(error: TwinError, is_over: bool) -> DriverReport:
 def _loop(parameters: UrParameters, driver: UrDriver, pipe: Connection) -> bool:
     """Steps in time until the supervisor has gone (False) or the connection is lost (True); orders act at once."""
     period_ns = round(parameters.period_s * 1e9)
+    orders = select.poll()  # made once: the pipe's own `poll` makes a selector with every call
+    orders.register(pipe, select.POLLIN)
     due = time.monotonic_ns()
     said: DriverReport | None = None
     refusal: str | None = None
     try:
         while True:
-            is_ordered = pipe.poll(max(due - time.monotonic_ns(), 0) * 1e-9)
+            is_ordered = orders.poll(max(due - time.monotonic_ns(), 0) * 1e-6)  # it waits in ms
             while is_ordered:
                 refusal = _obey(driver, pipe.recv()) or refusal
-                is_ordered = pipe.poll()
+                is_ordered = orders.poll(0)
             now = time.monotonic_ns()
             if now >= due:
                 due = max(due + period_ns, now)
