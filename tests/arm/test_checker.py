@@ -31,7 +31,7 @@ def test_distance_is_the_smallest_among_all_pairs(ur5e_checker: ArmCollisionChec
     for q in np.random.default_rng(seed).uniform(-3, 3, (10, 6)):
         scene.pose(q)
         closest = min(scene.measure(c, o).distance for c in movable for o in range(120))
-        everything = ur5e_checker.approaches(q[None], np.full(120, 10.0))
+        everything = ur5e_checker.approaches(ur5e_checker.sweep(q[None]), np.full(120, 10.0))
         found = ur5e_checker.distance(q)
         pair = int(everything.distances[0].argmin())
         if everything.distances[0, pair] > 0:
@@ -133,9 +133,16 @@ def test_a_time_that_no_obstacle_speaks_of_is_no_clearance(ur5e_checker: ArmColl
     ur5e_checker.update(obstacles(Thing((3.0, 0.0, 0.0), valid_ms=(80, 280))))
     with pytest.raises(ArmError, match=r"up to 0\.28 s after their evidence, found .* take newer obstacles"):
         ur5e_checker.distance(READY, stamp)
-    for look in (ur5e_checker.check, ur5e_checker.closest):
-        with pytest.raises(ArmError, match="nobody has forecast"):
-            look(np.tile(READY, (2, 1)), np.array([NOW + 100 * MS, stamp]))
+    twice, stamps = np.tile(READY, (2, 1)), np.array([NOW + 100 * MS, stamp])
+    with pytest.raises(ArmError, match="nobody has forecast"):
+        ur5e_checker.check(twice, stamps)
+    with pytest.raises(ArmError, match="nobody has forecast"):
+        ur5e_checker.closest(ur5e_checker.sweep(twice), stamps)
+
+
+def test_no_pose_is_no_sweep(ur5e_checker: ArmCollisionChecker) -> None:
+    with pytest.raises(ArmError, match=r"a pose at least, found \(0, 6\)"):
+        ur5e_checker.sweep(np.zeros((0, 6)))
 
 
 def test_a_trajectory_step_is_what_the_pose_alone_is(ur5e_checker: ArmCollisionChecker) -> None:
@@ -157,7 +164,7 @@ def test_the_closest_along_a_trajectory_is_the_least_of_its_steps(ur5e_checker: 
         positions = start + np.linspace(0, 1, len(stamps))[:, None] * rng.uniform(-reach, reach, 6)
         steps = ur5e_checker.check(positions, stamps)
         least = min(steps, key=lambda step: step.distance)
-        found = ur5e_checker.closest(positions, stamps)
+        found = ur5e_checker.closest(ur5e_checker.sweep(positions), stamps)
         assert found.distance == pytest.approx(least.distance, abs=1e-9)
         assert (found.link, found.obstacle_id) == (least.link, least.obstacle_id)
 

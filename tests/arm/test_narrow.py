@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from twin_node.arm import narrow
 from twin_node.arm.narrow import axis_distances, box_distances, segment_distances, sphere_distances
 from twin_node.geometry import rotation_from_quat
 
@@ -139,15 +140,51 @@ def test_parallel_and_pointlike_segments(gap: float) -> None:
 def test_many_pairs_are_measured_as_each_alone() -> None:
     rng = np.random.default_rng(2)
     ends, centers, half = (
-        rng.uniform(-1, 1, (2100, 2, 3)),
-        rng.uniform(-1, 1, (2100, 3)),
-        rng.uniform(0, 0.4, (2100, 3)),
+        rng.uniform(-1, 1, (17100, 2, 3)),
+        rng.uniform(-1, 1, (17100, 3)),
+        rng.uniform(0, 0.4, (17100, 3)),
     )
-    radii, turns = rng.uniform(0, 0.1, 2100), rotation_from_quat(rng.normal(size=(2100, 4)))
+    radii, turns = rng.uniform(0, 0.1, 17100), rotation_from_quat(rng.normal(size=(17100, 4)))
     together = box_distances(ends, radii, centers, turns, half)
-    for row in (0, 999, 1000, 1999, 2000, 2099):
+    for row in (0, 7999, 8000, 15999, 16000, 17099):
         one = slice(row, row + 1)
         alone = box_distances(ends[one], radii[one], centers[one], turns[one], half[one])
         assert alone == pytest.approx(together[one], abs=1e-12)
     nothing = slice(0, 0)
     assert len(box_distances(ends[nothing], radii[nothing], centers[nothing], turns[nothing], half[nothing])) == 0
+
+
+@given(
+    start=points,
+    way=st.one_of(points, st.sampled_from([(0.0, 0, 0), (0.3, 0, 0), (0, -1e-13, 0), (0.2, 0.2, 0)]).map(np.array)),
+    half=st.tuples(*[st.one_of(edges, st.just(0.0))] * 3),
+)
+@settings(max_examples=300, deadline=None)
+def test_newtons_steps_find_what_knots_do(
+    start: NDArray[np.float64], way: NDArray[np.float64], half: tuple[float, ...]
+) -> None:
+    rng = np.random.default_rng(3)
+    starts = np.concatenate([start[None], rng.uniform(-1, 1, (50, 3)), np.tile(half, (3, 1))])
+    axes = np.concatenate([np.tile(way, (52, 1)), [[0.3, -0.3, 0.0], [0.0, 0.5, 0.0]]])  # the last touch a corner
+    sizes = np.tile(half, (len(starts), 1))
+    for factor in (1.0, 100.0):
+        knots = narrow._by_knots(starts.T, factor * axes.T, sizes.T)
+        ends = np.stack([starts, starts + factor * axes], axis=1)
+        found = box_distances(ends, np.zeros(len(ends)), np.zeros((len(ends), 3)), None, sizes)
+        np.testing.assert_allclose(found, knots, rtol=0, atol=1e-9)
+
+
+def test_capsules_at_several_steps_are_measured_as_at_each() -> None:
+    rng = np.random.default_rng(4)
+    ends, centers, half = (
+        rng.uniform(-1, 1, (4, 300, 2, 3)),
+        rng.uniform(-1, 1, (300, 3)),
+        rng.uniform(0, 0.4, (300, 3)),
+    )
+    radii, turns = rng.uniform(0, 0.1, 300), rotation_from_quat(rng.normal(size=(300, 4)))
+    for rotations in (turns, None):
+        together = box_distances(ends, radii, centers, rotations, half)
+        alone = [box_distances(step, radii, centers, rotations, half) for step in ends]
+        np.testing.assert_allclose(together, alone, rtol=0, atol=1e-12)
+    together = sphere_distances(ends, radii, centers, half[:, 0])
+    np.testing.assert_array_equal(together, [sphere_distances(step, radii, centers, half[:, 0]) for step in ends])

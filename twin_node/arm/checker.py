@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,23 @@ class Clearance:
 
 
 @dataclass(frozen=True)
+class Sweep:
+    """An arm's poses one after the other, and the obstacles about the first of them."""
+
+    positions: Float64
+    """[T, J] rad."""
+    placed: PlacedCapsules
+    """The capsules at all of them."""
+    bounds: Float64
+    """[C, n] lower bounds of the distances at the first pose, m."""
+
+    def at(self, steps: slice | NDArray[np.int64]) -> Sweep:
+        """Some of the poses, the first one among them."""
+        placed = PlacedCapsules(self.placed.ends[steps], self.placed.radii, self.placed.links)
+        return Sweep(self.positions[steps], placed, self.bounds)
+
+
+@dataclass(frozen=True)
 class Approaches:
     """Pairs of capsules and obstacles, and how their distances change while the arm alone moves."""
 
@@ -67,8 +84,6 @@ class _Pair:
     distance: float
     """In closed form, m."""
 
-
-_Measure = Callable[[Float64, Float64, NDArray[np.int64]], Float64]
 
 _NO_CLEARANCE = Clearance(float("inf"), "", -1, np.full(3, np.nan), np.full(3, np.nan))
 
@@ -162,17 +177,32 @@ class ArmCollisionChecker:
         angles, times = self._trajectory(positions, stamps)
         return self._closest(angles, self._obstacles.counting_at(times))
 
-    def closest(self, positions: NDArray[np.floating], stamps: NDArray[np.integer]) -> Clearance:
-        """Closest pair over all steps of a trajectory; as `check`, but only that one gets its witness points."""
-        angles, times = self._trajectory(positions, stamps)
-        if len(self._obstacles) == 0 or len(angles) == 0:
-            return _NO_CLEARANCE
-        valid = self._obstacles.counting_at(times)
+    def sweep(self, positions: NDArray[np.floating]) -> Sweep:
+        """Poses [T, J] (rad) among the obstacles given last, for `closest` and `approaches`.
+
+        Raises `RobotError` for positions of the wrong shape or with values that are not finite, `ArmError` without any.
+        """
+        angles = self._model.check_positions(positions)
+        if angles.ndim != 2 or len(angles) == 0:
+            raise ArmError(
+                f"sweep: expected positions [T, {self._model.joints}] of a pose at least, found {angles.shape}"
+            )
         placed = place_capsules(self._model, forward_kinematics(self._model, angles))
-        capsules, rows = np.nonzero(self._contenders(placed, np.asarray(valid.any(axis=0))))
+        bounds = axis_distances(placed.ends[0], self._obstacles.centers)
+        bounds -= placed.radii[:, None]
+        bounds -= self._obstacles.outer_radii
+        return Sweep(angles, placed, bounds)
+
+    def closest(self, sweep: Sweep, stamps: NDArray[np.integer]) -> Clearance:
+        """Closest pair over all steps of a trajectory; as `check`, but only that one gets its witness points."""
+        angles, times = self._trajectory(sweep.positions, stamps)
+        if len(self._obstacles) == 0:
+            return _NO_CLEARANCE
+        valid, placed = self._obstacles.counting_at(times), sweep.placed
+        capsules, rows = np.nonzero(self._contenders(sweep, np.asarray(valid.any(axis=0))))
         if len(capsules) == 0:
             return _NO_CLEARANCE
-        lower = self._at_all_steps(placed, capsules, rows, self._outer)
+        lower = self._outer(placed.ends[:, capsules], placed.radii[capsules], rows)
         lower[~valid[:, rows]] = np.inf
         steps, pairs = np.nonzero(lower <= (lower + self._obstacles.slack[rows]).min())
         capsules, rows = capsules[pairs], rows[pairs]
@@ -182,14 +212,14 @@ class ArmCollisionChecker:
         found = _Pair(step, capsule, int(rows[best]), placed.ends[step, capsule], float(distances[best]))
         return self._witnessed(angles, found)
 
-    def approaches(self, positions: Float64, reach: Float64) -> Approaches:
-        """Pairs within reach [n] (m, per obstacle; negative: leave it out) of the first of the positions [T, J] (rad).
+    def approaches(self, sweep: Sweep, reach: Float64) -> Approaches:
+        """Pairs within reach [n] (m, per obstacle; negative: leave it out) of the first of the poses.
 
-        Their distances are given at all positions, the obstacles standing still.
+        Their distances are given at all poses, the obstacles standing still.
         """
-        placed = place_capsules(self._model, forward_kinematics(self._model, positions))
-        capsules, rows = np.nonzero((self._first_bounds(placed) <= reach) & (reach >= 0) & ~self._exempt)
-        distances = self._at_all_steps(placed, capsules, rows, self._exact)
+        placed = sweep.placed
+        capsules, rows = np.nonzero((sweep.bounds <= reach) & (reach >= 0) & ~self._exempt)
+        distances = self._exact(placed.ends[:, capsules], placed.radii[capsules], rows)
         near = distances[0] <= reach[rows]
         return Approaches(capsules[near], rows[near], distances[:, near])
 
@@ -262,33 +292,19 @@ class ArmCollisionChecker:
         smaller = min(nearest.distance, pair.distance)
         return Clearance(smaller, self._names[nearest.capsule], int(shapes.ids[row]), on_arm, on_obstacle)
 
-    def _contenders(self, placed: PlacedCapsules, valid: Bool) -> Bool:
+    def _contenders(self, sweep: Sweep, valid: Bool) -> Bool:
         """[C, n] pairs of valid [n] obstacles one of which is the closest at some step.
 
         From one step to another no pair's distance changes by more than the capsule's faster end has moved.
         """
-        travel = np.linalg.norm(placed.ends - placed.ends[0], axis=-1).max(axis=(0, 2))[:, None]
-        lower = np.where(self._exempt | ~valid, np.inf, self._first_bounds(placed))
-        upper = (lower + self._obstacles.slack + travel).min()
-        return np.asarray((lower - travel <= upper + _ROUNDING_M) & np.isfinite(lower))
-
-    def _first_bounds(self, placed: PlacedCapsules) -> Float64:
-        """Lower bounds [C, n] of the distances at the first step, m."""
-        first = PlacedCapsules(placed.ends[:1], placed.radii, placed.links)
-        bounds: Float64 = self._axis_distances(first)[0] - placed.radii[:, None] - self._obstacles.outer_radii
-        return bounds
-
-    def _at_all_steps(
-        self, placed: PlacedCapsules, capsules: NDArray[np.int64], rows: NDArray[np.int64], measure: _Measure
-    ) -> Float64:
-        """What `measure` makes [T, p] of pairs at every step: of capsules' ends and radii and of obstacles' rows."""
-        steps = len(placed.ends)
-        ends = placed.ends[:, capsules].reshape(-1, 2, 3)
-        found = measure(ends, np.tile(placed.radii[capsules], steps), np.tile(rows, steps))
-        return found.reshape(steps, len(rows))
+        ends = sweep.placed.ends
+        travel = np.linalg.norm(ends - ends[0], axis=-1).max(axis=(0, 2))[:, None]
+        lower = np.where(self._exempt | ~valid, np.inf, sweep.bounds)
+        upper = (lower + (self._obstacles.slack + travel)).min()
+        return np.asarray((lower <= upper + _ROUNDING_M + travel) & np.isfinite(lower))
 
     def _outer(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
-        """Distances [n] of capsules (ends [n, 2, 3], radii [n]) to the spheres about obstacles (rows [n]), m."""
+        """Distances [..., n] of capsules (ends [..., n, 2, 3], radii [n]) to spheres about obstacles (rows [n]), m."""
         shapes = self._obstacles
         return sphere_distances(ends, radii, shapes.centers[rows], shapes.outer_radii[rows])
 
@@ -298,18 +314,23 @@ class ArmCollisionChecker:
         return flat.reshape(*placed.ends.shape[:2], -1)
 
     def _exact(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
-        """Exact distances [n] of capsules (ends [n, 2, 3], radii [n]) to obstacles (rows [n]), m."""
+        """Exact distances [..., n] of capsules (ends [..., n, 2, 3], radii [n]) to obstacles (rows [n]), m."""
         shapes = self._obstacles
         round_ = shapes.is_sphere[rows]
-        out = np.empty(len(rows))
-        chosen = rows[round_]
-        out[round_] = sphere_distances(ends[round_], radii[round_], shapes.centers[chosen], shapes.half[chosen, 0])
-        boxes = ~round_
-        chosen = rows[boxes]
-        out[boxes] = box_distances(
-            ends[boxes], radii[boxes], shapes.centers[chosen], shapes.rotations[chosen], shapes.half[chosen]
+        if not round_.any():
+            return self._to_boxes(ends, radii, rows)
+        out = np.empty(ends.shape[:-2])
+        chosen, boxes = rows[round_], ~round_
+        out[..., round_] = sphere_distances(
+            ends[..., round_, :, :], radii[round_], shapes.centers[chosen], shapes.half[chosen, 0]
         )
+        out[..., boxes] = self._to_boxes(ends[..., boxes, :, :], radii[boxes], rows[boxes])
         return out
+
+    def _to_boxes(self, ends: Float64, radii: Float64, rows: NDArray[np.int64]) -> Float64:
+        shapes = self._obstacles
+        rotations = shapes.rotations[rows] if shapes.any_turned else None
+        return box_distances(ends, radii, shapes.centers[rows], rotations, shapes.half[rows])
 
     def _rebuild(self) -> None:
         model = self.bare_model

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance
+from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance, Sweep
 from twin_node.arm.course import ArmMotion, Underway
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import standing
 from twin_node.arm.path import STEP_NS, go_on
 from twin_node.arm.separation import Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
-from twin_node.robot import ArmModel, forward_kinematics, place_capsules
+from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, NO_EVIDENCE, Float64, JointPath, JointSample, ObstacleKind, Separation
 
 _POSES = 5
@@ -62,14 +62,16 @@ def decide(
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     fastest = _fastest(path.positions, _seconds(path))
     motion = ArmMotion(stamp, reaction_s, fastest, stopping, _going(checker, joints, fastest), underway or Underway())
-    closest = checker.closest(path.positions, np.minimum(path.stamps, checker.obstacles.told_until))  # then as last
     way = _until_standstill(checker.model, path, motion)
-    seconds, positions = _seconds(way), way.positions
-    steps = _steps(checker, positions)
+    sweep = checker.sweep(way.positions)
+    told = np.minimum(path.stamps, checker.obstacles.told_until)  # then as last
+    closest = checker.closest(sweep.at(slice(len(told))), told)
+    seconds = _seconds(way)
+    steps = _steps(sweep)
     poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
     picked = np.unique(np.linspace(0, len(seconds) - 1, poses).round().astype(np.int64))
     speed = float((steps / np.diff(seconds)).max(initial=0.0))
-    pairs = checker.approaches(positions[picked], _reach(found, motion, law, speed))
+    pairs = checker.approaches(sweep.at(picked), _reach(found, motion, law, speed))
     closing = _closing(pairs, seconds[picked])
     return _settle(checker, closest, Encounter.of(found, pairs, closing, motion, law))
 
@@ -176,10 +178,10 @@ def _closing(pairs: Approaches, seconds: Float64) -> Float64:
     return np.maximum(closing, 0.0)
 
 
-def _steps(checker: ArmCollisionChecker, positions: Float64) -> Float64:
+def _steps(sweep: Sweep) -> Float64:
     """How far [T - 1] the point of the arm that goes farthest comes from each pose to the next, m."""
-    ends = place_capsules(checker.model, forward_kinematics(checker.model, positions)).ends
-    steps: Float64 = np.linalg.norm(np.diff(ends, axis=0), axis=-1).max(axis=(1, 2))
+    way = np.diff(sweep.placed.ends, axis=0)
+    steps: Float64 = np.sqrt(np.einsum("...i,...i->...", way, way).max(axis=(1, 2)))
     return steps
 
 

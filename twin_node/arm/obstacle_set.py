@@ -28,6 +28,8 @@ class ObstacleSet:
     """[n, 3] m."""
     rotations: Float64
     """[n, 3, 3]."""
+    any_turned: bool
+    """Whether any box stands otherwise than along the axes of `base_link`."""
     half: Float64
     """[n, 3] half extents, three times the radius for a sphere, m."""
     is_sphere: Bool
@@ -44,10 +46,13 @@ class ObstacleSet:
         half = np.asarray(obstacles.sizes, dtype=np.float64) / 2
         is_sphere = np.asarray(obstacles.shapes == ObstacleShape.SPHERE)
         outer = np.where(is_sphere, half[:, 0], np.linalg.norm(half, axis=1))
+        any_turned = bool(obstacles.quats[~is_sphere, 1:].any())
+        quats = np.where(is_sphere[:, None], _NO_TURN, obstacles.quats) if any_turned else _NO_TURN
         return ObstacleSet(
             source=obstacles,
             centers=np.asarray(obstacles.positions, dtype=np.float64),
-            rotations=rotation_from_quat(np.where(is_sphere[:, None], _NO_TURN, obstacles.quats)),
+            rotations=np.broadcast_to(rotation_from_quat(quats), (len(half), 3, 3)),
+            any_turned=any_turned,
             half=half,
             is_sphere=is_sphere,
             outer_radii=outer,
