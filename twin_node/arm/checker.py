@@ -14,7 +14,7 @@ from twin_node.arm.attachment import AllowedRegion, Attachment
 from twin_node.arm.errors import ArmError
 from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sphere_distances
 from twin_node.arm.obstacle_set import ObstacleSet
-from twin_node.arm.scene import CollisionScene
+from twin_node.arm.scene import CollisionScene, refuse_more
 from twin_node.arm.self_collision import SelfClearance, SelfCollision
 from twin_node.robot import ArmModel, PlacedCapsules, arm_model, forward_kinematics, place_capsules
 from twin_node.scene import Bool, Float64, Obstacles
@@ -103,7 +103,7 @@ class ArmCollisionChecker:
         max_obstacles: int = 1024,
         allowed: Sequence[AllowedRegion] = (),
     ) -> None:
-        """`model` is an arm, or what `arm_model` takes; `max_obstacles` is the pool's size for spheres and for boxes.
+        """`model` is an arm, or what `arm_model` takes; it takes at most `max_obstacles` spheres and as many boxes.
 
         Raises `RobotError` for an unknown arm.
         """
@@ -130,10 +130,7 @@ class ArmCollisionChecker:
         return self._obstacles
 
     def attach(self, part: Attachment) -> None:
-        """Adds a part to what the arm carries, in place of one of the same name; rebuilds the scene.
-
-        That takes 0.2 s with room for 1024 obstacles, a hundredth of it where the arm has carried the same before.
-        """
+        """Adds a part to what the arm carries, in place of one of the same name; rebuilds the scene."""
         self._attachments[part.name] = part
         self._rebuild()
 
@@ -148,12 +145,12 @@ class ArmCollisionChecker:
     def update(self, obstacles: Obstacles) -> None:
         """Takes the place of all obstacles given before.
 
-        Raises `ArmError` for obstacles with values that are not finite, of unknown shape, or too many for the pool; the
+        Raises `ArmError` for obstacles with values that are not finite, of unknown shape, or too many of them; the
         obstacles given before then stay.
         """
         incoming = ObstacleSet.of(obstacles)
-        self._scene.place(obstacles)
-        self._obstacles = incoming
+        refuse_more(obstacles, self._max_obstacles)
+        self._obstacles, self._placed = incoming, -1
         self._exempt = self._exemptions()
 
     def distance(self, q: NDArray[np.floating], stamp: int | None = None) -> Clearance:
@@ -282,9 +279,12 @@ class ArmCollisionChecker:
 
     def _witnessed(self, positions: Float64, nearest: _Pair) -> Clearance:
         """A pair's clearance with the points that MuJoCo finds; where it misses a contact, a point inside both."""
-        self._scene.pose(positions[nearest.step])
-        pair = self._scene.measure(nearest.capsule, nearest.row)
         shapes, row = self._obstacles, nearest.row
+        if row != self._placed:
+            self._scene.place(shapes.source.only(np.array([row])))
+            self._placed = row
+        self._scene.pose(positions[nearest.step])
+        pair = self._scene.measure(nearest.capsule, 0)
         on_arm, on_obstacle = pair.on_arm, pair.on_obstacle
         if nearest.distance <= 0 < pair.distance:
             box = (shapes.centers[row], shapes.rotations[row], shapes.half[row])
@@ -341,8 +341,9 @@ class ArmCollisionChecker:
         self._model = model
         self._names = tuple(names)
         self._self_collision = SelfCollision(self._model, self._names)
-        self._scene = CollisionScene(self._model, self._max_obstacles)
-        self._scene.place(self._obstacles.source)
+        self._scene = CollisionScene(self._model, capacity=1)  # of each shape: only one pair is measured at a time
+        self._placed = -1
+        """Row of the obstacle that stands in the scene; -1: none does."""
         self._exempt = self._exemptions()
 
     def _exemptions(self) -> Bool:

@@ -70,12 +70,8 @@ class CollisionScene:
 
         Raises `ArmError` for more spheres or boxes than the capacity.
         """
+        refuse_more(obstacles, self.capacity)
         spheres = obstacles.shapes == ObstacleShape.SPHERE
-        needed = int(max(spheres.sum(), (~spheres).sum()))
-        if needed > self.capacity:
-            raise ArmError(
-                f"obstacles: expected at most {self.capacity} of a shape, found {needed}; raise max_obstacles"
-            )
         slots = np.empty(len(spheres), np.int64)
         slots[spheres] = np.arange(spheres.sum())
         slots[~spheres] = self.capacity + np.arange((~spheres).sum())
@@ -109,3 +105,11 @@ class CollisionScene:
             self._segment,
         )
         return Measured(float(distance), self._segment[:3].copy(), self._segment[3:].copy())
+
+
+def refuse_more(obstacles: Obstacles, most: int) -> None:
+    """Raises `ArmError` for more spheres or more boxes than that."""
+    spheres = int((obstacles.shapes == ObstacleShape.SPHERE).sum())
+    needed = max(spheres, len(obstacles.shapes) - spheres)
+    if needed > most:
+        raise ArmError(f"obstacles: expected at most {most} of a shape, found {needed}; raise max_obstacles")

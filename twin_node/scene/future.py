@@ -144,8 +144,8 @@ class Obstacles:
             stamp, np.zeros(0, np.uint32), kinds, kinds, three, np.zeros((0, 4)), three, three, one, times, times
         )
 
-    def only(self, chosen: Bool) -> Obstacles:
-        """Those of a mask [n]."""
+    def only(self, chosen: Bool | NDArray[np.int64]) -> Obstacles:
+        """Those of a mask [n], or of rows."""
         columns: dict[str, Any] = {name: values for name, values in vars(self).items() if name != "stamp"}
         columns = {name: None if values is None else values[chosen] for name, values in columns.items()}
         return Obstacles(stamp=self.stamp, **columns)
