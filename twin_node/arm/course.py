@@ -98,12 +98,22 @@ class ArmMotion:
     def _stop_now(self) -> Stop:
         return self.table.stop(self.going * self.joint_speeds)
 
+    @cached_property
+    def _courses(self) -> dict[float, Course]:
+        """Those asked for before, by their shares: the law asks again and again for that at full speed."""
+        return {}
+
     def course(self, share: float) -> Course:
         """What it does if it is told a share (0 to 1) of the speed now, and nothing when the reaction time is over.
 
         One that is faster goes on until it hears of that, and brakes then. If it gets to its share in time, it goes on
         at that until it is told.
         """
+        if share not in self._courses:
+            self._courses[share] = self._course(share)
+        return self._courses[share]
+
+    def _course(self, share: float) -> Course:
         stop = self.table.stop(share * self.joint_speeds)
         if share >= self.going:
             return Course(share * self.reaction_s, share * stop.travel_s, self.reaction_s + stop.duration_s)

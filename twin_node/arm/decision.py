@@ -109,14 +109,14 @@ def _refuse_future(evidence: int, stamp: int) -> None:
 
 def _settle(checker: ArmCollisionChecker, closest: Clearance, encounter: Encounter) -> Separation:
     """Applies the law to the pairs and names the one that decides; where none is closing in, the closest one."""
-    shortfall, terms = encounter.shortfall(1.0), encounter.terms(1.0)
+    shortfall = encounter.at_full_speed
     reason = "clear" if len(shortfall) == 0 else "not closing in"
     free = Separation.without_pair(encounter.motion.stamp, checker.obstacles.source.stamp, 1.0, reason)
     free = replace(free, distance=closest.distance, link=closest.link, obstacle_id=closest.obstacle_id)
     if (shortfall == -np.inf).all():
         return free
     worst = int(shortfall.argmax())  # one that is not a number comes before all others
-    row = int(encounter.rows[worst])
+    row, terms = int(encounter.rows[worst]), encounter.terms(1.0)
     if not np.isfinite(shortfall[worst]):
         raise ArmError(
             f"separation: expected a protective distance from obstacle {checker.obstacles.ids[row]}, found "

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,6 @@ from twin_node.arm.errors import ArmError
 from twin_node.geometry import rotation_from_quat
 from twin_node.scene import HORIZONS_NS, Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
-_SHAPES, _KINDS = np.array(ObstacleShape, np.uint8), np.array(ObstacleKind, np.uint8)
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _EARLY_NS = HORIZONS_NS[-1]
 """Evidence may come so much later than the time that is asked of, as computers' clocks differ: see `decide`."""
@@ -87,6 +88,16 @@ class ObstacleSet:
         """[n]."""
         return np.asarray(self.kinds == ObstacleKind.UNSEEN)
 
+    @cached_property
+    def as_seen(self) -> Bool:
+        """[n] what moved where it was seen, as `Obstacles` has it."""
+        return self.source.as_seen
+
+    @cached_property
+    def begins(self) -> int:
+        """When the forecast begins, ns, as `Obstacles` has it."""
+        return self.source.begins
+
     def valid_at(self, stamps: NDArray[np.integer] | int) -> Bool:
         """True where an obstacle [n] counts at a time (ns); times [T, 1] give [T, n]."""
         return np.asarray((self.source.valid_from <= stamps) & (stamps <= self.source.valid_to))
@@ -96,10 +107,10 @@ class ObstacleSet:
         ends = self.source.valid_to[self.kinds == kind]
         return int(ends.max()) if len(ends) else None
 
-    @property
+    @cached_property
     def told_until(self) -> int:
         """Last time (ns) of which the forecasts of every kind speak; that of the evidence where nothing is forecast."""
-        forecast = ~self.source.as_seen
+        forecast = ~self.as_seen
         ends = [self.source.valid_to[forecast & (self.kinds == kind)] for kind in ObstacleKind]
         return min((int(end.max()) for end in ends if len(end)), default=self.source.stamp)
 
@@ -117,9 +128,9 @@ class ObstacleSet:
                 f"after their evidence, found {first_s:.3g} to {last_s:.3g} s after it; what is then nobody has "
                 "forecast: look no farther, or take newer obstacles"
             )
-        valid = self.valid_at(np.maximum(stamps, source.begins)[:, None])
+        valid = self.valid_at(np.maximum(stamps, self.begins)[:, None])
         moving = self.kinds == ObstacleKind.MOVING
-        return valid | source.as_seen if (source.as_seen == moving).all() else valid
+        return valid | self.as_seen if (self.as_seen == moving).all() else valid
 
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
@@ -150,8 +161,8 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
             raise ArmError(
                 f"obstacles: expected {count} rows of {width} {name}, found {_shape(values)}; check the forecast"
             )
-        wild = ~(np.abs(values) <= _FARTHEST)
-        if wild.any():
+        if not _are_tame(values):
+            wild = ~(np.abs(values) <= _FARTHEST)
             raise ArmError(
                 f"obstacles: expected {count} rows of finite {name} of at most {_FARTHEST:g}, found {int(wild.sum())} "
                 "values not finite or larger; check the forecast"
@@ -168,7 +179,7 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
             )
     _refuse_untimed(obstacles)
     for name, told in (("reach_speeds", obstacles.reach_speeds), ("reach_delays", obstacles.reach_delays)):
-        if told is not None and (np.shape(told) != (count,) or not (np.abs(told) <= _FARTHEST).all()):
+        if told is not None and (np.shape(told) != (count,) or not _are_tame(told)):
             raise ArmError(
                 f"obstacles: expected {count} finite {name} of at most {_FARTHEST:g}, found {_shape(told)}, of which "
                 f"{int((~(np.abs(told) <= _FARTHEST)).sum())} are not finite or larger; check the forecast"
@@ -186,11 +197,20 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
             f"obstacles: expected a sphere's diameter three times, found sizes {spheres[uneven.argmax()].tolist()}; "
             "give a box where it is longer one way"
         )
-    turns = np.linalg.norm(obstacles.quats, axis=1)
-    if ((turns < 1e-6) & (obstacles.shapes == ObstacleShape.BOX)).any():
+    turns_sq = np.einsum("ni,ni->n", obstacles.quats, obstacles.quats)
+    if ((turns_sq < 1e-12) & (obstacles.shapes == ObstacleShape.BOX)).any():
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
-    if not np.isin(obstacles.shapes, _SHAPES).all() or not np.isin(obstacles.kinds, _KINDS).all():
+    if not (_are_among(ObstacleShape, obstacles.shapes) and _are_among(ObstacleKind, obstacles.kinds)):
         raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")
+
+
+def _are_tame(values: Float64) -> bool:
+    """Whether all are numbers within `_FARTHEST`: the extremes of values some of which are none are none either."""
+    return bool(values.min(initial=0.0) >= -_FARTHEST and values.max(initial=0.0) <= _FARTHEST)
+
+
+def _are_among(known: Iterable[int], values: NDArray[np.integer]) -> bool:
+    return bool(np.logical_or.reduce([values == value for value in known]).all())
 
 
 def _shape(values: NDArray[np.generic]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,23 +164,23 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         last = obstacles.last_valid(kind)
         if last is not None:
             in_last_layer |= (kinds == kind) & (source.valid_to > last - _SAME_LAYER_NS)
-    as_seen = source.as_seen & ~in_last_layer
+    as_seen = obstacles.as_seen & ~in_last_layer
     counts = (source.valid_to >= stamp) | in_last_layer | as_seen
     counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
     own_speeds = np.linalg.norm(source.velocities, axis=1)
     speeds = np.maximum(own_speeds, parameters.human_speed)
-    is_first = source.valid_from <= source.begins + _SAME_LAYER_NS
+    is_first = source.valid_from <= obstacles.begins + _SAME_LAYER_NS
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
         moves=np.asarray(kinds == ObstacleKind.MOVING),
         speeds=speeds,
-        going_on=np.where(source.as_seen, speeds, own_speeds),
+        going_on=np.where(obstacles.as_seen, speeds, own_speeds),
         valid_from=np.where(is_first, stamp, source.valid_from),
         valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
         begins_with=np.asarray(kinds == ObstacleKind.MOVING) & ~as_seen & is_first,
-        begins=source.begins,
+        begins=obstacles.begins,
         reaches=_reaches(obstacles),
     )
 
@@ -199,7 +200,7 @@ def _reaches(obstacles: ObstacleSet) -> Reaches | None:
     source, ends = obstacles.source, obstacles.last_valid(ObstacleKind.MOVING)
     if source.reach_speeds is None or source.reach_delays is None or ends is None or ends <= source.stamp:
         return None
-    return Reaches(source.reach_speeds, source.reach_delays, source.stamp, source.begins, ends)
+    return Reaches(source.reach_speeds, source.reach_delays, source.stamp, obstacles.begins, ends)
 
 
 class Proof(IntEnum):
@@ -266,15 +267,36 @@ class Encounter:
 
     def _terms(self, course: Course) -> Terms:
         """The terms for what the arm does."""
-        still, law = self.hazards.keeps_still[self.rows], self.parameters
-        left_s = np.array([np.inf, np.inf, np.inf, self._until_begin_s, 0.0])[self.proofs]
+        left_s = np.array([np.inf, np.inf, np.inf, self._until_begin_s, 0.0])  # by proof
+        steady_s = np.minimum(left_s, course.steady_s)
+        braking_s = np.minimum(np.maximum(left_s - course.steady_s, 0.0), course.braking_s)
         return Terms(
-            human=np.where(still, 0.0, self._gone(self.motion.standstill(course))),
-            reaction=self.closing * np.minimum(left_s, course.steady_s),
-            stopping=self.closing * np.clip(left_s - course.steady_s, 0.0, course.braking_s),
-            intrusion=np.where(still | (self.proofs >= Proof.SEEN_BEFORE), law.clearance_m, law.intrusion_m),
-            uncertainty=np.full(len(self.rows), law.position_error_m),
+            human=np.where(self._still, 0.0, self._gone(self.motion.standstill(course))),
+            reaction=self.closing * steady_s[self.proofs],
+            stopping=self.closing * braking_s[self.proofs],
+            intrusion=self._intrusion,
+            uncertainty=np.full(len(self.rows), self.parameters.position_error_m),
         )
+
+    @cached_property
+    def _still(self) -> Bool:
+        """[p] whether plain clearance from the obstacle is enough."""
+        return self.hazards.keeps_still[self.rows]
+
+    @cached_property
+    def _is_before(self) -> Bool:
+        """[p] whether the pair speaks of the time until the forecast begins."""
+        return np.asarray(self.proofs >= Proof.SEEN_BEFORE)
+
+    @cached_property
+    def _intrusion(self) -> Float64:
+        law = self.parameters
+        return np.where(self._still | self._is_before, law.clearance_m, law.intrusion_m)
+
+    @cached_property
+    def at_full_speed(self) -> Float64:
+        """[p] `shortfall` at all of the arm's speed, m."""
+        return self.shortfall(1.0)
 
     def shortfall(self, share: float) -> Float64:
         """By how much [p] distances fall short of the protective ones at a share of the speed, m; negative: enough.
@@ -285,15 +307,25 @@ class Encounter:
         counts. So does the better of two ways to tell where what is forecast was before.
         """
         alone = self._alone(share)
-        worst = np.full((len(Proof), int(self.capsules.max(initial=0)) + 1), -np.inf)
-        np.maximum.at(worst, (self.proofs, self.capsules), alone)
+        worst = np.full((len(Proof), self._capsule_count), -np.inf)
+        np.maximum.at(worst.reshape(-1), self._cells, alone)
         if not self.hazards.as_seen.any():
             worst[[Proof.SIGHT, Proof.SEEN_BEFORE]] = np.inf  # nobody says where it was
         by_layer = worst[Proof.FIRST_BEFORE] < worst[Proof.SEEN_BEFORE]
         before = np.minimum(worst[Proof.FIRST_BEFORE], worst[Proof.SEEN_BEFORE])
         by_sight = worst[Proof.SIGHT] < np.maximum(worst[Proof.FORECAST], before)
         kept = np.stack([np.ones_like(by_sight), ~by_sight, by_sight, ~by_sight & ~by_layer, ~by_sight & by_layer])
-        return np.where(kept[self.proofs, self.capsules], alone, -np.inf)
+        return np.where(kept.reshape(-1)[self._cells], alone, -np.inf)
+
+    @cached_property
+    def _capsule_count(self) -> int:
+        return int(self.capsules.max(initial=0)) + 1
+
+    @cached_property
+    def _cells(self) -> NDArray[np.int64]:
+        """[p] place of each pair's proof and capsule in a table of them, row by row."""
+        cells: NDArray[np.int64] = self.proofs * self._capsule_count + self.capsules
+        return cells
 
     def _alone(self, share: float) -> Float64:
         """Shortfalls [p] of the pairs, each by itself, m.
@@ -308,15 +340,32 @@ class Encounter:
         terms = self._terms(course)
         after_s = np.maximum(standstill - self.hazards.valid_to, 0) * 1e-9
         goes_on = (self.hazards.going_on * after_s)[self.rows]
-        touches = self._within_touch + np.where(self.proofs >= Proof.SIGHT, terms.human, goes_on)
-        touching = self.hazards.moves[self.rows] & (self.distances < touches)
-        closes = self.closing > self.parameters.closing_speed
-        concerned = (closes | touching) & (self.hazards.valid_from[self.rows] <= standstill)
+        touches = np.where(self.proofs >= Proof.SIGHT, terms.human, goes_on)
+        touches += self._within_touch
+        concerned = self._moves & (self.distances < touches)
+        concerned |= self._closes
+        concerned &= self._valid_from <= standstill
         return np.where(concerned, terms.required - self.distances, -np.inf)
+
+    @cached_property
+    def _moves(self) -> Bool:
+        return self.hazards.moves[self.rows]
+
+    @cached_property
+    def _closes(self) -> Bool:
+        """[p] whether the arm comes closer by its own motion."""
+        return np.asarray(self.closing > self.parameters.closing_speed)
+
+    @cached_property
+    def _valid_from(self) -> NDArray[np.int64]:
+        return self.hazards.valid_from[self.rows]
 
     def _gone(self, standstill: int) -> Float64:
         """How far [p] obstacles may be from where they are valid by a standstill (ns), or before the forecast, m."""
         gone = self.hazards.gone(standstill)
+        if not self._is_before.any():
+            of_pairs: Float64 = gone[self.rows]
+            return of_pairs
         by_begin = self.hazards.gone(min(standstill, self.hazards.begins))
         before_layer = self.hazards.speeds * self._until_begin_s
         return np.stack([gone, gone, gone, by_begin, before_layer])[self.proofs, self.rows]
@@ -336,7 +385,7 @@ class Encounter:
 
         Every term rises with the share, and so does the lesser of two proofs, so bisection finds it.
         """
-        if self._holds(1.0):
+        if (self.at_full_speed <= 0).all():
             return 1.0
         if not self._holds(0.0):
             return 0.0

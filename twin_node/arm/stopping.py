@@ -63,7 +63,8 @@ class StoppingTable:
                 f"stopping table: expected speeds of {self.times.shape[1]} joints, found {magnitudes.size}; give the "
                 "arm a table of its own"
             )
-        return Stop(self._read(self.times, magnitudes), self._read(self._travels, magnitudes))
+        duration_s, travel_s = self._read(magnitudes)
+        return Stop(float(duration_s), float(travel_s))
 
     def slower_of(self, other: StoppingTable) -> StoppingTable:
         """The table of an arm that stops by this one or by another, whichever is slower, joint by joint.
@@ -82,8 +83,7 @@ class StoppingTable:
 
     def _at(self, columns: Float64, speeds: Float64) -> Float64:
         """The columns' values [R, J] at other speeds [S], as `stop` reads them: [S, J]."""
-        knots = np.concatenate([[0.0], self.speeds])
-        within = np.stack([np.interp(speeds, knots, [0.0, *column]) for column in columns.T], axis=1)
+        within = np.stack([np.interp(speeds, self._knots, [0.0, *column]) for column in columns.T], axis=1)
         read: Float64 = within * np.maximum(speeds / self.speeds[-1], 1.0)[:, None]
         return read
 
@@ -92,16 +92,26 @@ class StoppingTable:
         """[R, J] angles per speed, s."""
         return self.angles / self.speeds[:, None]
 
-    def _read(self, columns: Float64, speeds: Float64) -> float:
-        """Largest of the columns' values [R, J] at speeds [J]; in proportion to speed below the first row and above."""
-        after = np.minimum(np.searchsorted(self.speeds, speeds), len(self.speeds) - 1)
-        joints = np.arange(columns.shape[1])
-        first = after == 0
-        low_speed = np.where(first, 0.0, self.speeds[after - 1])
-        low = np.where(first, 0.0, columns[after - 1, joints])
-        share = (speeds - low_speed) / (self.speeds[after] - low_speed)
-        read = low + np.minimum(share, 1.0) * (columns[after, joints] - low)
-        return float((read * np.maximum(speeds / self.speeds[-1], 1.0)).max(initial=0.0))
+    @cached_property
+    def _rows(self) -> Float64:
+        """[2, R + 1, J] times and travels, s, from rest on."""
+        rows = np.stack([self.times, self._travels])
+        return np.concatenate([np.zeros_like(rows[:, :1]), rows], axis=1)
+
+    @cached_property
+    def _knots(self) -> Float64:
+        """[R + 1] speeds of the rows from rest on, rad/s."""
+        return np.concatenate([[0.0], self.speeds])
+
+    def _read(self, speeds: Float64) -> Float64:
+        """Largest time and travel [2] at speeds [J]; in proportion to speed below the first row and above the last."""
+        joints, knots = np.arange(len(speeds)), self._knots
+        after = np.minimum(self.speeds.searchsorted(speeds) + 1, len(self.speeds))
+        low_speed, low = knots[after - 1], self._rows[:, after - 1, joints]
+        share = (speeds - low_speed) / (knots[after] - low_speed)
+        read = low + np.minimum(share, 1.0) * (self._rows[:, after, joints] - low)
+        largest: Float64 = (read * np.maximum(speeds / knots[-1], 1.0)).max(axis=1, initial=0.0)
+        return largest
 
 
 def _from_base_shoulder_elbow(speed_deg: float, times_s: Float64, angles_rad: Float64) -> StoppingTable:
