@@ -22,6 +22,7 @@ struct Range {
   int size() const { return is_empty() ? 0 : to - from; }
   Range wider(int by) const { return {from - by, to + by}; }
   Range within(Range other) const { return {std::max(from, other.from), std::min(to, other.to)}; }
+  bool holds(int at) const { return at >= from && at < to; }
   bool is_within(Range other) const { return from >= other.from && to <= other.to; }
   void take_in(Range other) { from = std::min(from, other.from), to = std::max(to, other.to); }
 };
@@ -39,6 +40,7 @@ struct Cuboid {
   bool is_within(const Cuboid &other) const {
     return axes[0].is_within(other.axes[0]) && axes[1].is_within(other.axes[1]) && axes[2].is_within(other.axes[2]);
   }
+  bool holds(int x, int y, int z) const { return axes[0].holds(x) && axes[1].holds(y) && axes[2].holds(z); }
   void take_in(const Cuboid &other) {
     if (other.is_empty()) return;
     for (int k = 0; k < 3; k++) axes[k].take_in(other.axes[k]);
@@ -87,35 +89,21 @@ class Balls {
     return moved;
   }
 
-  // visit(x, y, z) of the points of a row, those in `wanted` alone where that is given.
+  // visit(i, x, y, z) of every point of a row, those in `wanted` alone where that is given.
   template <class Visit>
   void each_place(int64_t layer, int64_t row, const Cuboid *wanted, const Visit &visit) const {
     const int32_t *shift = shift_of(layer, row);
     const int64_t end = first_[groups[row] + 1];
     for (int64_t i = first_[groups[row]]; i < end; i++) {
       const int x = places_[0][i] + shift[0], y = places_[1][i] + shift[1], z = places_[2][i] + shift[2];
-      if (!wanted || holds(*wanted, x, y, z)) visit(x, y, z);
+      if (!wanted || wanted->holds(x, y, z)) visit(i, x, y, z);
     }
   }
 
-  // visit(x, y, z) of the core points of a row that are in `wanted`.
-  template <class Visit>
-  void each_core(int64_t layer, int64_t row, const Cuboid &wanted, const Visit &visit) const {
-    const int32_t *shift = shift_of(layer, row);
-    const int64_t end = first_[groups[row] + 1];
-    for (int64_t i = first_[groups[row]]; i < end; i++) {
-      const int x = places_[0][i] + shift[0], y = places_[1][i] + shift[1], z = places_[2][i] + shift[2];
-      if (cores_[i] && holds(wanted, x, y, z)) visit(x, y, z);
-    }
-  }
+  bool is_core(int64_t i) const { return cores_[i]; }
 
  private:
   const int32_t *shift_of(int64_t layer, int64_t row) const { return shifts + 3 * (layer * rows() + row); }
-
-  static bool holds(const Cuboid &box, int x, int y, int z) {
-    return x >= box.axes[0].from && x < box.axes[0].to && y >= box.axes[1].from && y < box.axes[1].to &&
-           z >= box.axes[2].from && z < box.axes[2].to;
-  }
 
   std::array<std::vector<int32_t>, 3> places_;  // group by group
   std::vector<uint8_t> cores_;

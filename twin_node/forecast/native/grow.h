@@ -161,7 +161,7 @@ class Union {
     for (const int64_t row : task_.rows) {
       const Cuboid box = b_.box(task_.layer, row);
       if (box.within(wanted).is_empty()) continue;
-      b_.each_place(task_.layer, row, box.is_within(wanted) ? nullptr : &wanted, [&](int x, int y, int z) {
+      b_.each_place(task_.layer, row, box.is_within(wanted) ? nullptr : &wanted, [&](int64_t, int x, int y, int z) {
         const unsigned bit = z - z0;
         bits[bit / 64 * plane + (x - x0) * depth + (y - y0)] |= uint64_t{1} << bit % 64;
       });
@@ -282,8 +282,8 @@ inline void mark_cores(const Balls &b, const Task &task, uint64_t *mask) {
   const int64_t words = words_of(r.nz);
   for (const int64_t row : task.rows) {
     if (!b.has_cores(row)) continue;
-    b.each_core(task.layer, row, grid, [&](int64_t x, int64_t y, int z) {
-      mask[(x * r.ny + y) * words + z / 64] |= uint64_t{1} << z % 64;
+    b.each_place(task.layer, row, &grid, [&](int64_t i, int64_t x, int64_t y, int z) {
+      if (b.is_core(i)) mask[(x * r.ny + y) * words + z / 64] |= uint64_t{1} << z % 64;
     });
   }
 }
