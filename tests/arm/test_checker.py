@@ -46,6 +46,22 @@ def test_distance_is_the_smallest_among_all_pairs(ur5e_checker: ArmCollisionChec
     assert apart >= 3
 
 
+def test_the_scene_holds_all_that_was_given_and_stays_as_it_was(ur5e_checker: ArmCollisionChecker) -> None:
+    ur5e_checker.update(random_obstacles(40, seed=3, spread=2.0))
+    scene = ur5e_checker.scene()
+    scene.pose(READY)
+    capsules = range(len(ur5e_checker.capsule_names))
+    table = np.array([[scene.measure(capsule, row).distance for row in range(40)] for capsule in capsules])
+    movable = ur5e_checker.model.capsules.links > 0
+    found = ur5e_checker.distance(READY)
+    capsule, row = np.unravel_index(np.where(movable[:, None], table, np.inf).argmin(), table.shape)
+    assert found.distance == pytest.approx(table[capsule, row], abs=1e-6)
+    assert (found.link, found.obstacle_id) == (ur5e_checker.capsule_names[capsule], 100 + row)
+    ur5e_checker.update(random_obstacles(7, seed=4, spread=2.0))
+    again = np.array([[scene.measure(capsule, row).distance for row in range(40)] for capsule in capsules])
+    np.testing.assert_array_equal(again, table)
+
+
 @pytest.mark.parametrize(
     ("q", "box"),
     [

@@ -9,6 +9,7 @@ from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import LimiterParameters, SpeedLimiter, standing
 from twin_node.arm.path import extrapolate, path_ahead, path_from_sample, sample_path
 from twin_node.arm.predictor import ArmPredictor
+from twin_node.arm.scene import CollisionScene
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
@@ -22,6 +23,7 @@ __all__ = [
     "ArmPredictor",
     "Attachment",
     "Clearance",
+    "CollisionScene",
     "Commands",
     "CycleParameters",
     "CyclicPath",
