@@ -163,6 +163,14 @@ def test_forecasts_are_judged_however_often_sets_come_and_however_late(every: in
     assert forecaster.quality.coverage > 0.9
 
 
+def test_forecasts_that_bridge_less_are_judged_before_earlier_ones_that_bridge_more() -> None:
+    """Every second set waits for others: the next one's forecast is for an earlier time."""
+    forecaster = Forecaster(GRID)
+    for number, state in enumerate(moving_ball(30)):
+        forecaster.update(state, state.stamp + (120, 20)[number % 2] * 1_000_000)
+    assert forecaster.quality.coverage > 0.9
+
+
 def test_nothing_moving_gives_empty_layers() -> None:
     occupancy = run([state_of(tick * PERIOD_NS, None) for tick in range(4)])
     assert all(len(layer.indices) == 0 for layer in occupancy.layers)

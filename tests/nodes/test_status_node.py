@@ -87,7 +87,7 @@ def test_all_that_anybody_warns_of_is_said() -> None:
     watched = Watched()
     watched.latency.start()
     for _ in range(FEWEST):
-        watched.latency.add(500_000_000)
+        watched.latency.add(0, 460_000_000, 500_000_000)
     drifts = (Drift("left", Verdict.BUMPED, 9.0, 1.0, 40, START), Drift("right", Verdict.STEADY, 0.1, 0.0, 40, START))
     watched.bus.publish(DRIFT, DriftReport(START, drifts))
     watched.bus.publish(STATE, state(START, 0, ("the model",)))

@@ -224,8 +224,11 @@ class Forecaster:
         """Scores the forecast made for now; parts that nobody saw when it was made are left out."""
         due = None
         timely = max(TIMELY_NS, (state.stamp - self._issued[-1].stamp) // 2) if self._issued else TIMELY_NS
-        while self._issued and self._issued[0].valid_at <= state.stamp + timely:
-            due = self._due = self._issued.popleft()
+        ripe = [issued for issued in self._issued if issued.valid_at <= state.stamp + timely]
+        if ripe:  # in the order of their times: one that had less to bridge may be valid before an earlier one
+            due = self._due = max(ripe, key=lambda issued: issued.valid_at)
+            waiting = (issued for issued in self._issued if issued.valid_at > state.stamp + timely)
+            self._issued = deque(waiting, self._issued.maxlen)
         if due is None or state.stamp - due.valid_at > timely or state.stamp - self._judged_at < JUDGED_EVERY_NS:
             return
         known = self._tracks.born <= due.stamp * 1e-9

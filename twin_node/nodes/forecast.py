@@ -41,11 +41,12 @@ class ForecastNode(Node):
         self.bus.subscribe(SEEN, self._on_seen)
 
     def _on_seen(self, state: TwinState) -> None:
-        found = self._forecaster.update(state, state.stamp + self._latency.expected_ns)
+        begun = self.clock.now()
+        found = self._forecaster.update(state, state.stamp + self._latency.bridged_ns(state.stamp, begun))
         self._obstacles = cover(
             found.occupancy, self._obstacles, self._cover_parameters, found.motion, found.hidden, found.sighted
         )
         self.bus.publish(FORECAST, Forecast(found.occupancy, self._obstacles, self._forecaster.quality))
         self.bus.publish(OCCUPANCY, convert.occupancy_to_message(found.occupancy))
         self.bus.publish(OBSTACLES, convert.obstacles_to_message(self._obstacles))
-        self._latency.add(self.clock.now() - state.stamp)
+        self._latency.add(state.stamp, begun, self.clock.now())
