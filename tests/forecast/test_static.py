@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, HEIGHT, WIDTH, camera, floor_depth, state_of
+from forecast_worlds import GRID, HEIGHT, WIDTH, ball_voxels, camera, floor_depth, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin_node.forecast.backdrops import Backdrops
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
@@ -95,6 +96,44 @@ def test_the_arm_does_not_stand() -> None:
     state = replace(state, robot_masks=masks)
     carver.carve(state, 0.0)
     assert len(space.update(state, carver).indices) == 0
+
+
+def test_what_was_measured_before_anybody_told_of_the_joints_is_the_arms_once_somebody_does() -> None:
+    """Cameras come before the driver: the arm stood in its own way for good, for nobody saw past where it was."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    shown = state_of(0, np.array([0.0, 0.0, 0.3]), with_depth=True)
+    shown = replace(shown, moving_masks=tuple(np.zeros_like(mask) for mask in shown.moving_masks))
+    carver.carve(shown, 0.0)
+    first = space.update(shown, carver).indices
+    taken = Bits.of_indices(GRID.dims, ball_voxels(np.array([0.0, 0.0, 0.3]), 0.16))
+    assert taken.holds(first).sum() > 100
+    hidden = tuple(np.ones_like(mask) for mask in shown.moving_masks)  # the arm's mask shows nothing else here
+    later = replace(shown, stamp=100_000_000, robot_masks=hidden)
+    carver.carve(later, 0.0)
+    known = space.update(later, carver, taken).indices
+    assert not taken.holds(known).any()
+    assert np.array_equal(known, first[~taken.holds(first)])
+
+
+def test_what_stood_beside_an_arm_that_is_known_is_not_taken_for_it() -> None:
+    """A post that it has reached to was measured as such; that its joints are not told for a while changes nothing."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    shown = state_of(0, np.array([0.0, 0.0, 0.3]), with_depth=True)
+    shown = replace(shown, moving_masks=tuple(np.zeros_like(mask) for mask in shown.moving_masks))
+    elsewhere = Bits.none(GRID.dims)
+    carver.carve(shown, 0.0)
+    space.update(shown, carver, elsewhere)
+    taken = Bits.of_indices(GRID.dims, ball_voxels(np.array([0.0, 0.0, 0.3]), 0.16))
+    hidden = tuple(np.ones_like(mask) for mask in shown.moving_masks)
+    untold = replace(shown, stamp=1_000_000_000)
+    carver.carve(untold, 0.0)
+    post = space.update(untold, carver).indices
+    told = replace(shown, stamp=2_000_000_000, robot_masks=hidden)
+    carver.carve(told, 0.0)
+    known = space.update(told, carver, taken).indices
+    post = post[taken.holds(post)]
+    assert len(post) > 100
+    assert np.isin(post, known).mean() > 0.9  # cameras see past its rims
 
 
 def test_what_was_measured_to_stand_hides_what_is_behind_it_while_no_depth_image_comes() -> None:

@@ -122,18 +122,20 @@ class Observer:
 
         `anew`: what was known of how things move no longer holds.
         """
-        found = self._without_arm(state, self._carve(state))
+        own = self._own_space(state)
+        found = self._carve(state, own)
+        if own is not None:
+            found = found.without(own)  # its shadow stays unknown
         if anew:
             self._velocities = PartVelocities(self.tables)
             self._last_centers, self._last = np.zeros((0, 3)), Estimate.unknown(0)
         parts, carved = self._without_specks(found)
         near = self._side_thread.begin(partial(closest, parts.centers))
-        static = self._static.update(state, self._carver)
+        static = self._static.update(state, self._carver, own)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask
-        knows_arm = self._arm is not None and state.frames.joints is not None
-        hiding, self._unseen = concealed(carved, knows_arm, stands, self._unseen)
+        hiding, self._unseen = concealed(carved, own is not None, stands, self._unseen)
         is_lone = self._lone.update(state, parts.indices, hiding)
         someone = carved.may_move | Bits.of_indices(self.grid.dims, self._lone.within)
         behind = self._look_behind(state.stamp, hiding, someone, stands)
@@ -154,12 +156,12 @@ class Observer:
             warnings=self._carver.warnings,
         )
 
-    def _carve(self, state: TwinState) -> Carved:
+    def _carve(self, state: TwinState, own: Bits | None) -> Carved:
         """What the views say of the outer grid. Of the first ones what stands is found first, for some of them may not
         measure it."""
         if self._standing is None:
             self._carver.carve(state, 0.0)
-            self._standing = _Standing.of(self._static.update(state, self._carver), self.margin)
+            self._standing = _Standing.of(self._static.update(state, self._carver, own), self.margin)
         return self._carver.carve(state, self._speed(), self._static.opaque)
 
     def _look_behind(self, stamp: int, unknown: Bits, moving: Bits, stands: Bits) -> Task[Unseen]:
@@ -197,11 +199,11 @@ class Observer:
         parts = parts.of(kept)
         return parts, carved.moved_only(Bits.of_indices(self.grid.dims, parts.indices))
 
-    def _without_arm(self, state: TwinState, carved: Carved) -> Carved:
-        """What is left when the arm's own space is taken out: its shadow stays unknown."""
+    def _own_space(self, state: TwinState) -> Bits | None:
+        """What the arm takes up itself; None where there is none, or nobody tells of its joints."""
         if self._arm is None or state.frames.joints is None:
-            return carved
-        return carved.without(own_space(self.grid, self._arm, state.frames.joints))
+            return None
+        return own_space(self.grid, self._arm, state.frames.joints)
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: so that `_FAST_SHARE` of the parts were slower."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.forecast.bits import Bits
 from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import MarkRequest
@@ -43,6 +44,8 @@ class StaticSpace:
         self.grid = grid
         self.parameters = parameters or StaticParameters()
         self._surfaces = np.zeros(grid.size, np.bool_)
+        self._doubtful: Bool | None = None
+        """Surfaces that were first measured while nobody told where the arm is, and may be the arm's."""
         self.opaque = Opaque(np.zeros(0, np.int64))
         """What cameras without depth do not see past, the same until it is refreshed: what some camera has measured, or
         where none measures, what the Gaussians fill."""
@@ -50,14 +53,18 @@ class StaticSpace:
         self._made_at: int | None = None
         self._turn = 0
 
-    def update(self, state: TwinState, carver: Carver) -> OccupancyLayer:
-        """The static layer as of this state."""
+    def update(self, state: TwinState, carver: Carver, own: Bits | None = None) -> OccupancyLayer:
+        """The static layer as of this state. `own`: the arm's own space; None where there is no arm, or nobody tells
+        where it is: once somebody does, what was taken to stand in its place is no longer."""
         count = len(state.frames.views)
+        if own is not None and self._doubtful is not None:
+            self._surfaces[own.mask() & self._doubtful] = False
+            self._doubtful, self._made_at = None, None
         if self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns:
             chosen = range(count) if self._made_at is None else (self._turn % count,)
             self._made_at = state.stamp
             self._turn += 1
-            self._remember_surfaces(state, carver, chosen)
+            self._remember_surfaces(state, carver, chosen, own is not None)
             filled = self._gaussian_voxels(state)
             measures = any(view.depth is not None for view in state.frames.views) or self._surfaces.any()
             self.opaque = Opaque(np.flatnonzero(self._surfaces)) if measures else Opaque(np.unique(filled), GUESSED_M)
@@ -67,10 +74,11 @@ class StaticSpace:
             self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
         return self._layer
 
-    def _remember_surfaces(self, state: TwinState, carver: Carver, chosen: Iterable[int]) -> None:
+    def _remember_surfaces(self, state: TwinState, carver: Carver, chosen: Iterable[int], knows_arm: bool) -> None:
         """Forgets surfaces that a camera sees through; adds those that the chosen views measure off their masks."""
         if not any(view.depth is not None for view in state.frames.views):
             return
+        before = None if knows_arm else self._surfaces.copy()
         known = np.flatnonzero(self._surfaces)
         self._surfaces[known[carver.frees(state, known)]] = False
         for number in chosen:
@@ -79,6 +87,9 @@ class StaticSpace:
                 continue
             still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
             mark(self.grid, self._surfaces, replace(view, depth=carver.calmed(view)), still)
+        if before is not None:
+            new = self._surfaces & ~before
+            self._doubtful = new if self._doubtful is None else self._doubtful | new
 
     def _gaussian_voxels(self, state: TwinState) -> NDArray[np.int64]:
         """Voxels that the centres of the opaque STATIC Gaussians are in; none of what is much larger than a voxel."""
