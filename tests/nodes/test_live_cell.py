@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 import yaml
 
-from twin_node.messages import header_stamp
+from twin_node.cell import SimulatedRig, load_scenario
+from twin_node.cell.ur_sim import StandInParameters
+from twin_node.messages import convert, header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
 from twin_node.nodes.live.cameras import CamerasNode, make_cameras
 from twin_node.nodes.live.cell import CellNode, CellParameters
@@ -26,6 +28,7 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import JointSample
 
 RIG = RigParameters(scenario="demo", image="image_raw", depth="depth/image_rect")
 WAIT_S = 60.0
@@ -58,6 +61,40 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert joints == sorted(joints)
     assert len(joints) > len(heard[TRAJECTORY]) > 0
     assert len(heard[TF_STATIC]) == 1
+
+
+def test_an_arm_that_a_driver_moves_is_drawn_where_its_joints_are() -> None:
+    """It was drawn on the scenario's cycle: a ghost that went through the arm, for which that stood for good."""
+    wire, executor, finished = LocalWire(), Executor(), threading.Event()
+    bus, images = WireBus(wire, executor, "cell", kind_of), list[Any]()
+    topics = topics_of("cam_front", RIG)
+    wire.subscribe("test", str(topics.depth), kind_of(str(topics.depth)), images.append)
+    setup = Setup("cell", bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
+    node = CellNode(setup, CellParameters(rig=RIG, duration=30.0, arm="driver"))
+    simulated = SimulatedRig(load_scenario("demo"))
+    arm, camera = simulated.world.arm, [c.name for c in simulated.cameras].index("cam_front")
+    assert arm is not None
+    turned = arm.cycle.at(0) + np.array([0.4, 0.1, 0.0, 0.0, 0.0, 0.0])
+    shown = [
+        simulated.renderers[camera].render(arm.solids_at(q, len(simulated.world.names) - 1)).depth
+        for q in (turned, arm.cycle.at(0))
+    ]
+    only_there = (shown[0] < shown[1] - 0.1) & (shown[0] > 0)
+    node.configure()
+    node.activate()
+    for told in (False, True):
+        if told:
+            joints = JointSample(time.time_ns(), arm.model.joint_names, turned, np.zeros(6))
+            bus.publish(JOINT_STATES, convert.joint_sample_to_message(joints))
+        before, deadline = len(images), time.monotonic() + WAIT_S
+        while len(images) < before + 3 and time.monotonic() < deadline:
+            executor.step(0.05)
+        seen = convert.depth_from_message(images[-1])
+        there = np.abs(seen - shown[0])[only_there & (seen > 0)] < 0.05
+        assert len(there) > 100
+        assert there.mean() > 0.8 if told else there.mean() < 0.1
+    node.deactivate()
+    node.cleanup()
 
 
 def test_a_cell_whose_cameras_are_silent_to_its_end_takes_its_time_and_ends(tmp_path: Path) -> None:
@@ -163,6 +200,37 @@ def test_usb_cameras_that_may_change_places_are_told(addresses: tuple[str, str],
     assert not said, "a spare is made as well"
     node.configure()
     assert [line.split(":")[0] for line in said] == [f"cameras {names}" for names in told]
+
+
+@pytest.mark.parametrize("model", ["ur5e", "ur3e"])
+def test_the_stand_ins_program_is_that_of_the_scenarios_arm(monkeypatch: pytest.MonkeyPatch, model: str) -> None:
+    """Where the scenario has such an arm: it is made for the table that cameras show around it."""
+    given = list[StandInParameters]()
+
+    class Noted:
+        def __init__(self, parameters: StandInParameters) -> None:
+            given.append(parameters)
+
+        async def run(self, on_listening: Callable[[], None]) -> None:
+            on_listening()
+
+    monkeypatch.setattr("twin_node.nodes.live.arm_stand_in.StandIn", Noted)
+    wire, executor = LocalWire(), Executor()
+    bus = WireBus(wire, executor, "ur_sim", kind_of)
+    setup = Setup("ur_sim", bus, SystemClock(), executor, {}, "test", lambda: None, wire.endpoints)
+    node = UrSimNode(setup, UrSimParameters(model=model, rig=RIG))
+    node.configure()
+    node.activate()
+    node.deactivate()
+    node.cleanup()
+    cycle, arm = given[0].controller.cycle, SimulatedRig(load_scenario("demo")).world.arm
+    assert given[0].controller.model.name == model
+    assert arm is not None
+    if model == arm.model.name:
+        assert cycle is not None
+        assert np.array_equal(cycle.template.positions, arm.cycle.template.positions)
+    else:
+        assert cycle is None
 
 
 def test_a_controller_that_fails_ends_its_process(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,12 @@ STEP_NS = 20_000_000
 DIFFERENCE_NS = 4_000_000
 """Half the step of the central difference that gives joint speeds: the path's own sampling."""
 
+FORESEEN_NS = 100_000_000
+"""An arm that is heard of goes on at its joints' speeds for so long at most after it was heard of last."""
+
+HEARD_NS = 1_000_000_000
+"""What was heard of joints is kept for so long: images are drawn late, but not that late."""
+
 _SIDE = np.array([0.0, 1.0, 0.0])
 """Where the texture of a link's capsule faces, in the link's frame."""
 
@@ -94,3 +100,44 @@ class DrivenArm(ArmInCell):
         known = (np.array(self._stamps) - self._stamps[0]).astype(np.float64)
         phases = np.rint(np.interp(since, known, self._phases)).astype(np.int64)
         return sample_path(self.cycle.template, phases % self.cycle.period_ns)
+
+
+class HeardArm(ArmInCell):
+    """The arm where somebody else moves it, as its joints are heard of; until then it waits where its cycle begins.
+
+    One thread may hear of the joints while another draws them.
+    """
+
+    def __init__(self, spec: ArmSpec, scenario: Scenario) -> None:
+        super().__init__(spec, scenario)
+        self.teller_ahead_ns = 0
+        """By how much the clock of who tells of the joints is ahead of the scenario's, ns."""
+        self._heard: tuple[JointSample, ...] = ()
+        """By their stamps on the teller's clock, rising."""
+
+    def hear(self, sample: JointSample) -> None:
+        """Takes in joints, in the order of their stamps; those of another arm and late ones are let be."""
+        if not set(self.model.joint_names).issubset(sample.names):
+            return
+        if self._heard and sample.stamp <= self._heard[-1].stamp:
+            return
+        kept = (one for one in self._heard if one.stamp >= sample.stamp - HEARD_NS)
+        self._heard = (*kept, self._in_order(sample))
+
+    def positions(self, stamps: NDArray[np.int64]) -> Float64:
+        """Joint angles [T, J] at stamps [T] of the scenario's clock, rad."""
+        heard = self._heard
+        if not heard:
+            return np.tile(self.cycle.at(0), (len(stamps), 1))
+        asked = (np.asarray(stamps) + (self.teller_ahead_ns - heard[0].stamp)).astype(np.float64)
+        known = np.array([sample.stamp - heard[0].stamp for sample in heard], np.float64)
+        told = np.stack([sample.positions for sample in heard], axis=1)
+        between = np.stack([np.interp(asked, known, joint) for joint in told], axis=1)
+        beyond_s = 1e-9 * np.clip(asked - known[-1], 0, FORESEEN_NS)
+        gone_on: Float64 = between + beyond_s[:, None] * heard[-1].velocities
+        return gone_on
+
+    def _in_order(self, sample: JointSample) -> JointSample:
+        """The joints in the model's order, without others."""
+        rows = [sample.names.index(name) for name in self.model.joint_names]
+        return JointSample(sample.stamp, self.model.joint_names, sample.positions[rows], sample.velocities[rows])

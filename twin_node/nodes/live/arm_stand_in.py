@@ -5,10 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from twin_node.arm import CyclicPath
+from twin_node.cell import load_scenario
+from twin_node.cell.ur_arm import ArmInCell
 from twin_node.cell.ur_sim import ControllerParameters, StandIn, StandInParameters
 from twin_node.nodes.live.own_thread import OwnThread
+from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.live.setup import Setup
 from twin_node.robot import ur_model
 from twin_node.runtime.node import Node
@@ -22,6 +26,8 @@ class UrSimParameters:
     """A loopback address."""
     model: str = "ur5e"
     """One of `twin_node.robot.UR_NAMES`."""
+    rig: RigParameters = field(default_factory=RigParameters)
+    """With a scenario that has an arm of this model its program is that arm's, else the model's default cycle."""
 
 
 def make_ur_sim(setup: Setup) -> Node:
@@ -39,7 +45,7 @@ class UrSimNode(Node):
             host=parameters.host,
             admin_port=None,
             is_playing=True,
-            controller=ControllerParameters(model=ur_model(parameters.model)),
+            controller=ControllerParameters(ur_model(parameters.model), _cycle_of(parameters)),
         )
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
@@ -76,3 +82,13 @@ class UrSimNode(Node):
     def _end(self) -> None:
         self._finish()
         self._begun.set()
+
+
+def _cycle_of(parameters: UrSimParameters) -> CyclicPath | None:
+    """The cycle of the scenario's arm, which is made for what stands around it; None where it has no such arm."""
+    if not parameters.rig.scenario:
+        return None
+    scenario = load_scenario(parameters.rig.scenario)
+    if scenario.arm is None or scenario.arm.model != parameters.model:
+        return None
+    return ArmInCell(scenario.arm, scenario).cycle

@@ -10,6 +10,7 @@ from twin_node.cell import SimulatedRig, load_scenario
 from twin_node.cell.record import TRAJECTORY_RATE_HZ, nan_depth
 from twin_node.cell.sensor import RawImage
 from twin_node.cell.simulator import Exposure
+from twin_node.cell.ur_arm import HeardArm
 from twin_node.messages import Message, convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
@@ -17,6 +18,9 @@ from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY, CameraTopics
 from twin_node.runtime.node import Node
+
+SCENARIOS_OWN = "scenario"
+"""The `arm` that moves as the scenario has it."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +30,9 @@ class CellParameters:
     rig: RigParameters = field(default_factory=RigParameters)
     duration: float = 0.0
     """Seconds to run, s; the scenario begins again when it is over, and stamps go on. 0: until stopped."""
-    arm: str = "scenario"
-    """`scenario`: its joints and path are published too; anything else: a driver does that."""
+    arm: str = SCENARIOS_OWN
+    """`scenario`: it follows its cycle, and its joints and path are published too; anything else: a driver does that,
+    and the arm is drawn where its joints are heard to be."""
 
 
 def make_cell(setup: Setup) -> Node:
@@ -43,7 +48,12 @@ class CellNode(Node):
         self._parameters = parameters
         self._finish = setup.finish
         self._simulated = SimulatedRig(load_scenario(parameters.rig.scenario), draws_noise_once=True)
-        self._period_ns = int(1e9 / self._simulated.scenario.sensing.rate_hz)
+        scenario = self._simulated.scenario
+        self._heard_arm: HeardArm | None = None
+        """The arm, where somebody else moves it."""
+        if scenario.arm is not None and parameters.arm != SCENARIOS_OWN:
+            self._heard_arm = self._simulated.world.arm = HeardArm(scenario.arm, scenario)
+        self._period_ns = int(1e9 / scenario.sensing.rate_hz)
         self._stop = threading.Event()
         self._thread = OwnThread("cell", self._send, setup.finish)
         self._begun: int | None = None
@@ -52,7 +62,9 @@ class CellNode(Node):
 
     def on_configure(self) -> None:
         scenario = self._simulated.scenario
-        if scenario.arm is not None and self._parameters.arm == "scenario":
+        if self._heard_arm is not None:
+            self.bus.subscribe(JOINT_STATES, self._on_joints)
+        elif scenario.arm is not None:
             self._timers.every(1 / scenario.arm.joint_rate_hz, self._publish_joints)
             self._timers.every(1 / TRAJECTORY_RATE_HZ, self._publish_path)
 
@@ -101,7 +113,13 @@ class CellNode(Node):
                 return
             self._begun = self.clock.now()
 
+    def _on_joints(self, message: Message) -> None:
+        if self._heard_arm is not None:
+            self._heard_arm.hear(convert.joint_sample_from_message(message))
+
     def _publish(self, exposure: Exposure, stamp: int) -> None:
+        if self._heard_arm is not None:
+            self._heard_arm.teller_ahead_ns = stamp - exposure.stamp
         image = self._simulated.take(exposure)
         stamp += image.stamp - exposure.stamp  # but for a fault of the camera's they are the same
         topics = topics_of(image.camera, self._parameters.rig)
