@@ -71,6 +71,16 @@ def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> Non
     assert len(said) == 1 and said[0].startswith("size small: ")
 
 
+def test_what_others_take_of_the_processor_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A launch starts up meanwhile: the same machine had sizes from tiny to large, by who was loading just then."""
+    said: list[str] = []
+    monkeypatch.setattr(sizing.time, "thread_time", lambda: 0.0)
+    one = trial(said, budget_ms=1e-6)
+    for index in range(TRIED_SETS):
+        one.take(frames(index))
+    assert said == ["size small: 0 ms per set here, the best within 1e-06 ms"]
+
+
 def test_a_trial_ends_when_its_twin_is_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C waited for all sizes, and a launcher kills what takes longer than five seconds."""
     said: list[str] = []

@@ -76,7 +76,10 @@ class Sized:
 
 
 class Trial:
-    """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took."""
+    """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took.
+
+    Counted is the processor time of its thread: what a set takes where nobody else wants the processor.
+    """
 
     def __init__(
         self,
@@ -123,5 +126,6 @@ class Trial:
         one = self._tried[name] = Sized(WindowModel(size.model(self._model), arm=self._arm), Narrower(size.width))
         forecaster = Forecaster(self._grid, self._forecast, self._arm)
         sets = takewhile(lambda _: not self._is_ending(), self._sets)
-        spent = median_ms((one.narrower.narrowed(frames) for frames in sets), one.model, forecaster)
+        narrowed = (one.narrower.narrowed(frames) for frames in sets)
+        spent = median_ms(narrowed, one.model, forecaster, time.thread_time)  # others may start up meanwhile
         return math.inf if spent is None else spent
