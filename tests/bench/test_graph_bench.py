@@ -24,6 +24,7 @@ from twin_node.bench.graph import IdleFigures, KillFigures, LatencyFigures
 from twin_node.bench.graph_cameras import CameraFigures, FaultFigures
 from twin_node.bench.graph_hops import HopFigures, hops
 from twin_node.bench.graph_link import Link, Machine
+from twin_node.bench.graph_live import LiveFigures
 from twin_node.bench.graph_machine import Told
 from twin_node.bench.graph_network import Cut, NetworkFigures, figures_of
 from twin_node.bench.graph_recorder import HEIGHT, WIDTH, KilledFigures, RecorderFigures, images, killed
@@ -188,6 +189,7 @@ PARTS: dict[str, Figures] = {
     "recorder": RecorderFigures(300.0, 54006, 54005, 1, 26.04, 0.06),
     "killed": KilledFigures(20, 20, 0.174),
     "network": NetworkFigures(20.0, 0.01, 3.0, 3, math.inf, 0.21, 0.096, 0.194, 1.2, 0, 0.024, 23.4, 33.2),
+    "live": LiveFigures(90.0, 18.4, Percentiles(900, 97.0, 210.0, 48.0), 0.22, 0.27, math.inf, 0.0),
     "cameras": CameraFigures(10.0, 0, (FaultFigures("dead", math.nan, 7.5, 0.94, 0),)),
 }
 
@@ -203,6 +205,7 @@ def test_every_part_is_told_in_lines_that_fit_a_terminal() -> None:
     assert told["kills"][1].split()[-2:] == ["0.27", "1.32"]
     assert told["recorder"][1].split()[1:] == ["54006", "54005", "1", "26.0", "6.0", "%"]
     assert told["network"][2].split()[-2:] == ["0.10", "never"]  # the median, and the longest
+    assert told["live"][-2] == "  nearest to somebody meanwhile: nobody was there"
     assert told["cameras"][-1].split() == ["dead", "never", "0.94", "7.5", "0"]
 
 

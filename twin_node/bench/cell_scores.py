@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from twin_node.arm.narrow import segment_distances
 from twin_node.bench.cell_case import CellCase
 from twin_node.cell.closed_loop import STEP_NS, LoopRecord
-from twin_node.robot import forward_kinematics, place_capsules
+from twin_node.cell.shadow import Shadow
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import HORIZONS_NS, Bool, Float64
 
 MOVES_M_S = 0.01
@@ -79,13 +80,18 @@ def score(case: CellCase, record: LoopRecord, first_seen_s: float = 0.0, with_de
 
 def distances_to_people(case: CellCase, record: LoopRecord, q: Float64) -> Float64:
     """Exact distances [T] (m) of the arm's moving links to the nearest person; infinite without people."""
-    placed = place_capsules(case.arm.model, forward_kinematics(case.arm.model, q))
+    return gaps_to_people(case.arm.model, case.shadow, record.stamps, q)
+
+
+def gaps_to_people(model: ArmModel, shadow: Shadow, stamps: NDArray[np.int64], q: Float64) -> Float64:
+    """The same [T] of joint angles [T, J] (rad) at stamps [T] (ns) of the people's clock."""
+    placed = place_capsules(model, forward_kinematics(model, q))
     links = placed.links > 0
     ends, radii = placed.ends[:, links], placed.radii[links]
-    frames = np.array([case.shadow.frame(int(stamp)) for stamp in record.stamps])
-    limbs = case.shadow.limbs(frames)
-    if not len(limbs.radii):
-        return np.full(len(record.stamps), np.inf)
+    frames = np.array([shadow.frame(int(stamp)) for stamp in stamps], np.int64)
+    limbs = shadow.limbs(frames)
+    if not len(limbs.radii) or not len(stamps):
+        return np.full(len(stamps), np.inf)
     gaps = segment_distances(ends[:, :, None], limbs.ends[:, None]) - radii[:, None] - limbs.radii
     nearest: Float64 = gaps.min(axis=(1, 2))
     return nearest

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from twin_node.bench.graph import IdleFigures, KillFigures, LatencyFigures
 from twin_node.bench.graph_cameras import CameraFigures
 from twin_node.bench.graph_hops import HopFigures
+from twin_node.bench.graph_live import LiveFigures
 from twin_node.bench.graph_network import NetworkFigures
 from twin_node.bench.graph_recorder import KilledFigures, RecorderFigures
 from twin_node.bench.graph_run import Percentiles
@@ -22,6 +23,7 @@ Figures = (
     | KilledFigures
     | NetworkFigures
     | CameraFigures
+    | LiveFigures
 )
 """What a part of the bench gives back."""
 
@@ -54,6 +56,8 @@ def _rows(part: str, figures: Figures) -> Iterator[Sequence[str]]:
             yield from _network(part, figures)
         case CameraFigures():
             yield from _cameras(part, figures)
+        case LiveFigures():
+            yield from _live(part, figures)
 
 
 def _latency(part: str, figures: LatencyFigures) -> Iterator[Sequence[str]]:
@@ -98,6 +102,16 @@ def _cameras(part: str, figures: CameraFigures) -> Iterator[Sequence[str]]:
     for one in figures.faults:
         times = _seconds(one.named_after_s), _seconds(one.well_after_s)
         yield f"  {one.fault}", *times, f"{one.forecasts_per_s:.1f}", str(one.others_named)
+
+
+def _live(part: str, figures: LiveFigures) -> Iterator[Sequence[str]]:
+    yield f"{part}: {figures.seconds:.0f} s, {figures.sets_per_s:.1f} sets/s", *_PERCENTILES
+    yield "  age of what decisions rest on", *_percentiles(figures.age_ms)
+    yield (f"  speed that the arm was allowed: {percent(figures.speed_share)} of full speed",)
+    yield (f"  it moved: {percent(figures.moving_share)} of the time",)
+    nearest = f"{figures.nearest_m:.2f} m" if math.isfinite(figures.nearest_m) else "nobody was there"
+    yield (f"  nearest to somebody meanwhile: {nearest}",)
+    yield (f"  in contact meanwhile: {figures.contact_s:.2f} s",)
 
 
 _PERCENTILES = ("p50 ms", "p99 ms", "least ms", "messages")

@@ -14,7 +14,7 @@ from twin_node.cli.arguments import positive, whole
 from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
-PARTS = ("latency", "hops", "idle", "kills", "recorder", "killed", "network", "cameras")
+PARTS = ("latency", "hops", "idle", "kills", "recorder", "killed", "network", "cameras", "live")
 
 KILLED_RECORDERS = 20
 CAMERA_FAULT_S = 4.0
@@ -25,8 +25,9 @@ def add_bench_graph(benches: Any) -> None:
     """Adds `graph` to the benches."""
     graph = benches.add_parser(
         "graph",
-        help="latency over processes, idle load, kills, recorders, a link that is cut, cameras that fail",
-        description="Start the simulated cell's graph on loopback and measure it, in about 15 minutes. Other load on "
+        help="latency over processes, idle load, kills, recorders, a link that is cut, cameras that fail, an arm "
+        "beside people",
+        description="Start the simulated cell's graph on loopback and measure it, in about 17 minutes. Other load on "
         "the machine counts. `network` needs root, or `unshare --map-root-user`. Exit status: 1 where a part failed.",
     )
     graph.add_argument(
@@ -41,6 +42,9 @@ def add_bench_graph(benches: Any) -> None:
     graph.add_argument(
         "--record-seconds", type=positive, default=300.0, metavar="S", help="how long a recorder runs (default 300)"
     )
+    graph.add_argument(
+        "--live-seconds", type=positive, default=90.0, metavar="S", help="how long the arm is watched (default 90)"
+    )
     graph.add_argument("--rounds", type=whole, default=2, metavar="N", help="runs of each kind (default 2)")
     graph.add_argument("--kills", type=whole, default=5, metavar="N", help="kills of each process (default 5)")
     graph.add_argument("--cuts", type=whole, default=3, metavar="N", help="cuts of the link (default 3)")
@@ -49,7 +53,7 @@ def add_bench_graph(benches: Any) -> None:
 
 
 def _graph(options: argparse.Namespace) -> int:
-    from twin_node.bench import graph, graph_cameras, graph_hops, graph_network, graph_recorder
+    from twin_node.bench import graph, graph_cameras, graph_hops, graph_live, graph_network, graph_recorder
     from twin_node.bench.graph_table import table
     from twin_node.errors import TwinError
 
@@ -65,6 +69,7 @@ def _graph(options: argparse.Namespace) -> int:
             "killed": lambda: graph_recorder.killed(KILLED_RECORDERS, folder),
             "network": lambda: graph_network.network(cuts=options.cuts),
             "cameras": lambda: graph_cameras.cameras(CAMERA_FAULT_S),
+            "live": lambda: graph_live.live(options.live_seconds),
         }
         for part in dict.fromkeys(options.only):
             try:
