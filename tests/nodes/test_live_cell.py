@@ -6,6 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 import yaml
 
 from twin_node.cell import SimulatedRig, load_scenario
+from twin_node.cell.ur_arm import ArmInCell
 from twin_node.cell.ur_sim import StandInParameters
 from twin_node.messages import convert, header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
@@ -63,17 +65,19 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert len(heard[TF_STATIC]) == 1
 
 
-def test_an_arm_that_a_driver_moves_is_drawn_where_its_joints_are() -> None:
+@pytest.mark.parametrize("model", ["", "ur10e"])
+def test_an_arm_that_a_driver_moves_is_drawn_where_its_joints_are(model: str) -> None:
     """It was drawn on the scenario's cycle: a ghost that went through the arm, for which that stood for good."""
     wire, executor, finished = LocalWire(), Executor(), threading.Event()
     bus, images = WireBus(wire, executor, "cell", kind_of), list[Any]()
     topics = topics_of("cam_front", RIG)
     wire.subscribe("test", str(topics.depth), kind_of(str(topics.depth)), images.append)
     setup = Setup("cell", bus, SystemClock(), executor, {}, "test", finished.set, wire.endpoints)
-    node = CellNode(setup, CellParameters(rig=RIG, duration=30.0, arm="driver"))
-    simulated = SimulatedRig(load_scenario("demo"))
-    arm, camera = simulated.world.arm, [c.name for c in simulated.cameras].index("cam_front")
-    assert arm is not None
+    node = CellNode(setup, CellParameters(rig=RIG, duration=30.0, arm="driver", model=model))
+    scenario = load_scenario("demo")
+    assert scenario.arm is not None
+    simulated, arm = SimulatedRig(scenario), ArmInCell(replace(scenario.arm, model=model or "ur5e"), scenario)
+    camera = [one.name for one in simulated.cameras].index("cam_front")
     turned = arm.cycle.at(0) + np.array([0.4, 0.1, 0.0, 0.0, 0.0, 0.0])
     shown = [
         simulated.renderers[camera].render(arm.solids_at(q, len(simulated.world.names) - 1)).depth
@@ -203,8 +207,8 @@ def test_usb_cameras_that_may_change_places_are_told(addresses: tuple[str, str],
 
 
 @pytest.mark.parametrize("model", ["ur5e", "ur3e"])
-def test_the_stand_ins_program_is_that_of_the_scenarios_arm(monkeypatch: pytest.MonkeyPatch, model: str) -> None:
-    """Where the scenario has such an arm: it is made for the table that cameras show around it."""
+def test_the_stand_ins_program_is_made_for_the_scenario(monkeypatch: pytest.MonkeyPatch, model: str) -> None:
+    """For the table that cameras show around it, whichever arm is driven."""
     given = list[StandInParameters]()
 
     class Noted:
@@ -223,14 +227,13 @@ def test_the_stand_ins_program_is_that_of_the_scenarios_arm(monkeypatch: pytest.
     node.activate()
     node.deactivate()
     node.cleanup()
-    cycle, arm = given[0].controller.cycle, SimulatedRig(load_scenario("demo")).world.arm
-    assert given[0].controller.model.name == model
-    assert arm is not None
-    if model == arm.model.name:
-        assert cycle is not None
-        assert np.array_equal(cycle.template.positions, arm.cycle.template.positions)
-    else:
-        assert cycle is None
+    scenario = load_scenario("demo")
+    assert scenario.arm is not None
+    there = ArmInCell(replace(scenario.arm, model=model), scenario)
+    controller = given[0].controller
+    assert controller.model.name == model
+    assert controller.cycle is not None
+    assert np.array_equal(controller.cycle.template.positions, there.cycle.template.positions)
 
 
 def test_a_controller_that_fails_ends_its_process(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,8 @@ from twin_node.scene import Float64, JointSample
 
 SETTLED_S = 15.0
 """From the first forecast on, s: meanwhile the twin finds its size, and spares load."""
+_MODEL = "ur5e"
+"""The arm that the launch drives, in whatever scenario."""
 _SAMPLED_NS = 8_000_000
 """Between two samples of where the people are."""
 _SAME_RUN = 3
@@ -84,12 +86,12 @@ def live(seconds: float, scenario: str = "demo") -> LiveFigures:
 
 def figures_of(heard: Heard, scenario: Scenario) -> LiveFigures:
     """What was heard, against where the people were. Raises `BenchError` where too little was heard to tell."""
-    if len(heard.decided) < 2 or len(heard.joints) < 2 or scenario.arm is None:
+    if len(heard.decided) < 2 or len(heard.joints) < 2:
         raise BenchError("bench graph: the arm or its driver fell silent; see the launch's logs in out/log")
     decided, evidence, shares = (np.array(column) for column in zip(*heard.decided, strict=True))
     stamps = np.array([sample.stamp for sample in heard.joints])
     seconds = (stamps[-1] - stamps[0]) * 1e-9
-    model = ur_model(scenario.arm.model)
+    model = ur_model(_MODEL)
     q = np.array([model.ordered_positions(sample) for sample in heard.joints])
     steps_s = np.diff(stamps) * 1e-9
     moves = _speeds(model, q, steps_s) > MOVES_M_S

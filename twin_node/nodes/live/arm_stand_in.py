@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from twin_node.arm import CyclicPath
 from twin_node.cell import load_scenario
@@ -27,7 +27,7 @@ class UrSimParameters:
     model: str = "ur5e"
     """One of `twin_node.robot.UR_NAMES`."""
     rig: RigParameters = field(default_factory=RigParameters)
-    """With a scenario that has an arm of this model its program is that arm's, else the model's default cycle."""
+    """With a scenario that has an arm its program is made for that arm's place, else the model's default cycle."""
 
 
 def make_ur_sim(setup: Setup) -> Node:
@@ -85,10 +85,8 @@ class UrSimNode(Node):
 
 
 def _cycle_of(parameters: UrSimParameters) -> CyclicPath | None:
-    """The cycle of the scenario's arm, which is made for what stands around it; None where it has no such arm."""
-    if not parameters.rig.scenario:
+    """The arm's cycle in the place of the scenario's, made for what stands around it; None where there is none."""
+    scenario = load_scenario(parameters.rig.scenario) if parameters.rig.scenario else None
+    if scenario is None or scenario.arm is None:
         return None
-    scenario = load_scenario(parameters.rig.scenario)
-    if scenario.arm is None or scenario.arm.model != parameters.model:
-        return None
-    return ArmInCell(scenario.arm, scenario).cycle
+    return ArmInCell(replace(scenario.arm, model=parameters.model), scenario).cycle

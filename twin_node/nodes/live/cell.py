@@ -33,6 +33,8 @@ class CellParameters:
     arm: str = SCENARIOS_OWN
     """`scenario`: it follows its cycle, and its joints and path are published too; anything else: a driver does that,
     and the arm is drawn where its joints are heard to be."""
+    model: str = ""
+    """Of `twin_node.robot.UR_NAMES`, the arm that a driver moves; empty: as the scenario's."""
 
 
 def make_cell(setup: Setup) -> Node:
@@ -52,7 +54,8 @@ class CellNode(Node):
         self._heard_arm: HeardArm | None = None
         """The arm, where somebody else moves it."""
         if scenario.arm is not None and parameters.arm != SCENARIOS_OWN:
-            self._heard_arm = self._simulated.world.arm = HeardArm(scenario.arm, scenario)
+            driven = replace(scenario.arm, model=parameters.model or scenario.arm.model)
+            self._heard_arm = self._simulated.world.arm = HeardArm(driven, scenario)
         self._period_ns = int(1e9 / scenario.sensing.rate_hz)
         self._stop = threading.Event()
         self._thread = OwnThread("cell", self._send, setup.finish)
