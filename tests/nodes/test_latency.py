@@ -97,4 +97,5 @@ def test_one_set_that_was_held_up_moves_nothing_minutes_away() -> None:
     """Neither the one that was under way while a clock was set, nor those after a forecast that took long."""
     assert bridged_ms(measured(*[40.0] * 30, taken_ms=20.0), 3_600_000.0) == LONGEST_BRIDGED_NS / 1e6
     assert bridged_ms(measured(*[40.0] * 9, taken_ms=20.0), 3_600_000.0) == LONGEST_BRIDGED_NS / 1e6
+    assert measured(*[40.0] * 29, 3_600_000.0).percentile_ms(100) == 3_600_000.0
     assert bridged_ms(measured(*[3_600_000.0] * 30, taken_ms=3_600_000.0), 20.0) == LONGEST_BRIDGED_NS / 1e6
