@@ -164,9 +164,8 @@ def test_forecasts_are_judged_however_often_sets_come_and_however_late(every: in
 
 
 def test_forecasts_that_bridge_less_are_judged_before_earlier_ones_that_bridge_more() -> None:
-    """Every second set waits for others: the next one's forecast is for an earlier time."""
     forecaster = Forecaster(GRID)
-    for number, state in enumerate(moving_ball(30)):
+    for number, state in enumerate(moving_ball(30)):  # every other set has waited
         forecaster.update(state, state.stamp + (120, 20)[number % 2] * 1_000_000)
     assert forecaster.quality.coverage > 0.9
 
