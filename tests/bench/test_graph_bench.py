@@ -205,7 +205,7 @@ def test_every_part_is_told_in_lines_that_fit_a_terminal() -> None:
     assert told["kills"][1].split()[-2:] == ["0.27", "1.32"]
     assert told["recorder"][1].split()[1:] == ["54006", "54005", "1", "26.0", "6.0", "%"]
     assert told["network"][2].split()[-2:] == ["0.10", "never"]  # the median, and the longest
-    assert told["live"][-2] == "  nearest to somebody meanwhile: nobody was there"
+    assert told["live"][-2] == "  nearest to somebody meanwhile: it did not move, or nobody was there"
     assert told["cameras"][-1].split() == ["dead", "never", "0.94", "7.5", "0"]
 
 

@@ -68,6 +68,15 @@ def test_an_arm_that_goes_into_somebody_is_told(demo: Scenario) -> None:
     assert min(one.nearest_m for one in found) < 0
 
 
+def test_where_nobody_knows_where_people_were_no_distance_is_told(demo: Scenario) -> None:
+    one = heard(demo)
+    one.decided = [
+        (stamp + 1, evidence + 1 + 7 * row, share) for row, (stamp, evidence, share) in enumerate(one.decided)
+    ]
+    with pytest.raises(BenchError, match="too few sets"):
+        figures_of(one, demo)
+
+
 def test_silence_is_an_error(demo: Scenario) -> None:
     with pytest.raises(BenchError, match="fell silent"):
         figures_of(Heard(), demo)

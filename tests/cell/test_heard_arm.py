@@ -57,6 +57,14 @@ def test_whoever_tells_late_or_of_other_joints_is_not_heard(arm: HeardArm) -> No
     assert first_joint(arm, 20.0)[0] == 0.4
 
 
+def test_a_clock_that_was_set_back_is_followed(arm: HeardArm) -> None:
+    """Until it was where it had been the arm would stand in all images."""
+    arm.hear(told(arm, 3_600_000.0, 0.4))
+    arm.hear(told(arm, 0.0, 0.6))
+    arm.hear(told(arm, 8.0, 0.7))
+    np.testing.assert_allclose(first_joint(arm, 4.0, 8.0), [0.65, 0.7])
+
+
 def test_joints_in_another_order_and_beside_others_are_put_in_order(arm: HeardArm) -> None:
     one = told(arm, 8.0, 0.4, speed=1.0)
     names = ("gripper", *reversed(one.names))

@@ -86,6 +86,14 @@ def test_what_was_long_ago_is_forgotten(period_ns: int) -> None:
     assert latency.percentile_ms(100) == pytest.approx(40.0)
 
 
+def test_what_was_before_a_clock_was_set_back_is_forgotten() -> None:
+    """It would never have been old enough again, and a percentile of all sets of an hour is slow."""
+    latency = measured(*[80.0] * 60, taken_ms=70.0)
+    add(latency, *[40.0] * FEWEST, taken_ms=20.0, begin=-3_600_000_000_000)
+    assert bridged_ms(latency, 20.0) == pytest.approx(40.0)
+    assert latency.percentile_ms(100) == pytest.approx(40.0)
+
+
 def test_a_camera_clock_that_is_ahead_makes_no_forecast_of_the_past() -> None:
     """Images stamped later than they come: they cannot, but who reads the forecast does so no sooner than now."""
     latency = measured(*[-40.0] * 60, taken_ms=20.0)

@@ -69,7 +69,7 @@ class Heard:
 
 
 def live(seconds: float, scenario: str = "demo") -> LiveFigures:
-    """Launches the simulated cell, lets it settle, and listens for so long."""
+    """Launches the simulated cell, lets it settle, and listens for so long. Raises `BenchError` where it is silent."""
     plan = read_launch_file("launch/sim_cell.yaml", [f"scenario:={scenario}", f"host:={free_loopback()}"])
     heard = Heard()
     with running(plan) as run:
@@ -87,7 +87,7 @@ def live(seconds: float, scenario: str = "demo") -> LiveFigures:
 def figures_of(heard: Heard, scenario: Scenario) -> LiveFigures:
     """What was heard, against where the people were. Raises `BenchError` where too little was heard to tell."""
     if len(heard.decided) < 2 or len(heard.joints) < 2:
-        raise BenchError("bench graph: the arm or its driver fell silent; see the launch's logs in out/log")
+        raise BenchError("bench graph: the arm or its driver fell silent; is the machine overloaded?")
     decided, evidence, shares = (np.array(column) for column in zip(*heard.decided, strict=True))
     stamps = np.array([sample.stamp for sample in heard.joints])
     seconds = (stamps[-1] - stamps[0]) * 1e-9
@@ -95,7 +95,10 @@ def figures_of(heard: Heard, scenario: Scenario) -> LiveFigures:
     q = np.array([model.ordered_positions(sample) for sample in heard.joints])
     steps_s = np.diff(stamps) * 1e-9
     moves = _speeds(model, q, steps_s) > MOVES_M_S
-    gaps = _gaps(scenario, model, stamps, q, begins(np.unique(evidence), scenario))[:-1]
+    runs = begins(np.unique(evidence), scenario)
+    if not runs:  # else nobody would have been near
+        raise BenchError("bench graph: too few sets to tell when the scenario began; listen longer (--live-seconds)")
+    gaps = _gaps(scenario, model, stamps, q, runs)[:-1]
     return LiveFigures(
         seconds=float(seconds),
         sets_per_s=len(np.unique(evidence)) / float(decided[-1] - decided[0]) * 1e9,

@@ -109,7 +109,9 @@ def _live(part: str, figures: LiveFigures) -> Iterator[Sequence[str]]:
     yield "  age of what decisions rest on", *_percentiles(figures.age_ms)
     yield (f"  speed that the arm was allowed: {percent(figures.speed_share)} of full speed",)
     yield (f"  it moved: {percent(figures.moving_share)} of the time",)
-    nearest = f"{figures.nearest_m:.2f} m" if math.isfinite(figures.nearest_m) else "nobody was there"
+    nearest = (
+        f"{figures.nearest_m:.2f} m" if math.isfinite(figures.nearest_m) else "it did not move, or nobody was there"
+    )
     yield (f"  nearest to somebody meanwhile: {nearest}",)
     yield (f"  in contact meanwhile: {figures.contact_s:.2f} s",)
 

@@ -116,12 +116,16 @@ class HeardArm(ArmInCell):
         """By their stamps on the teller's clock, rising."""
 
     def hear(self, sample: JointSample) -> None:
-        """Takes in joints, in the order of their stamps; those of another arm and late ones are let be."""
+        """Takes in joints, in the order of their stamps; those of another arm and late ones are let be.
+
+        A clock that was set back is followed.
+        """
         if not set(self.model.joint_names).issubset(sample.names):
             return
-        if self._heard and sample.stamp <= self._heard[-1].stamp:
+        late_ns = self._heard[-1].stamp - sample.stamp if self._heard else -1
+        if 0 <= late_ns <= HEARD_NS:
             return
-        kept = (one for one in self._heard if one.stamp >= sample.stamp - HEARD_NS)
+        kept = (one for one in self._heard if 0 < sample.stamp - one.stamp <= HEARD_NS)
         self._heard = (*kept, self._in_order(sample))
 
     def positions(self, stamps: NDArray[np.int64]) -> Float64:

@@ -45,6 +45,9 @@ def add_bench_graph(benches: Any) -> None:
     graph.add_argument(
         "--live-seconds", type=positive, default=90.0, metavar="S", help="how long the arm is watched (default 90)"
     )
+    graph.add_argument(
+        "--scenario", default="demo", metavar="SCENARIO", help="what `live` launches, a scenario of sim/ (default demo)"
+    )
     graph.add_argument("--rounds", type=whole, default=2, metavar="N", help="runs of each kind (default 2)")
     graph.add_argument("--kills", type=whole, default=5, metavar="N", help="kills of each process (default 5)")
     graph.add_argument("--cuts", type=whole, default=3, metavar="N", help="cuts of the link (default 3)")
@@ -55,8 +58,10 @@ def add_bench_graph(benches: Any) -> None:
 def _graph(options: argparse.Namespace) -> int:
     from twin_node.bench import graph, graph_cameras, graph_hops, graph_live, graph_network, graph_recorder
     from twin_node.bench.graph_table import table
+    from twin_node.cell import load_scenario
     from twin_node.errors import TwinError
 
+    load_scenario(options.scenario)  # a wrong one is told before anything is measured
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="twin_node_") as name:
         folder = Path(name)
@@ -69,7 +74,7 @@ def _graph(options: argparse.Namespace) -> int:
             "killed": lambda: graph_recorder.killed(KILLED_RECORDERS, folder),
             "network": lambda: graph_network.network(cuts=options.cuts),
             "cameras": lambda: graph_cameras.cameras(CAMERA_FAULT_S),
-            "live": lambda: graph_live.live(options.live_seconds),
+            "live": lambda: graph_live.live(options.live_seconds, options.scenario),
         }
         for part in dict.fromkeys(options.only):
             try:

@@ -39,6 +39,8 @@ class Latency:
         """
         if not self.is_measured or not self._is_started:
             return
+        if self._samples and published < self._samples[-1].published:
+            self._samples.clear()  # the clock was set back: nothing would be old enough to be forgotten
         self._samples.append(_Sample(published, published - stamp, published - begun))
         while len(self._samples) > FEWEST and self._samples[0].published < published - MEMORY_NS:
             self._samples.popleft()

@@ -65,8 +65,9 @@ class CellNode(Node):
 
     def on_configure(self) -> None:
         scenario = self._simulated.scenario
-        if self._heard_arm is not None:
-            self.bus.subscribe(JOINT_STATES, self._on_joints)
+        heard = self._heard_arm
+        if heard is not None:
+            self.bus.subscribe(JOINT_STATES, lambda told: heard.hear(convert.joint_sample_from_message(told)))
         elif scenario.arm is not None:
             self._timers.every(1 / scenario.arm.joint_rate_hz, self._publish_joints)
             self._timers.every(1 / TRAJECTORY_RATE_HZ, self._publish_path)
@@ -115,10 +116,6 @@ class CellNode(Node):
                 self._finish()
                 return
             self._begun = self.clock.now()
-
-    def _on_joints(self, message: Message) -> None:
-        if self._heard_arm is not None:
-            self._heard_arm.hear(convert.joint_sample_from_message(message))
 
     def _publish(self, exposure: Exposure, stamp: int) -> None:
         if self._heard_arm is not None:
