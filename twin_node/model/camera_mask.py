@@ -63,7 +63,7 @@ class CameraMask:
         image = _planes(view.rgb)
         seen = seen_by(view, robot)
         gain = _gain(image, self.background, seen & ~self.mask & self.known)
-        self._meet(image / gain, view, seen & ~self.known)
+        self._meet(image / gain, view, seen & ~self.known & ~self.depth.stands_before(view, seen))
         free = seen & ~self.mask
         told = self.depth.look(view, view.stamp - self.past[-1][0], seen, free)
         settled = self._settled(image, view.stamp, free)
@@ -72,7 +72,8 @@ class CameraMask:
         difference = np.where(self._lighting_only(image, expected, threshold), 0, _difference(image, expected))
         moving = self._regions(np.where(self.trusted & seen, difference, 0), threshold) | told.in_front
         like_ground = difference < 0.5 * threshold
-        mask = moving | (self.mask & ~_eroded(self.trusted & like_ground & ~told.lost))
+        ground = self.trusted & like_ground & ~told.lost
+        mask = moving | (self.mask & ~_eroded(ground | ~seen))  # what the arm hides holds nothing
         mask = (mask | self._unconfirmed_holes(mask)) & seen
         is_known = self.depth.known > 0  # elsewhere nothing else would notice somebody of the ground's colours
         freed = self.confirmed & is_known
@@ -89,7 +90,7 @@ class CameraMask:
         among_ground &= most_around(seen & self.trusted & like_ground, np.ones_like(seen), GROUND_AROUND)
         uncovered = self._uncovered(image / gain, settled, free, among_ground, object_, by_depth, threshold)
         uncovered &= (difference > threshold) | ~self.trusted
-        self.confirmed |= (self.mask & ~mask) | uncovered
+        self.confirmed |= (self.mask & ~mask & seen) | uncovered
         if not self.depth.is_told:
             self.bared = 0.98 * self.bared + np.count_nonzero(uncovered & self.trusted & (difference > threshold))
         self.trusted |= uncovered

@@ -76,13 +76,16 @@ class GroundDepth:
             newest = np.where(is_measured, view.depth, newest)
             self.telling += np.where(free, np.float32(LEARNING_RATE), np.float32(0)) * (is_measured - self.telling)
         telling = (self.telling >= TELLING) & (not self.is_silent(view))
-        nothing = np.zeros_like(seen)
         return Told(
-            in_front=nothing if view.depth is None else self._before_ground(view.depth, seen),
+            in_front=self.stands_before(view, seen),
             was_in_front=self._before_ground(newest, seen),
             telling=telling,
             lost=telling & (self.blind_ns > LOST_NS),
         )
+
+    def stands_before(self, view: View, seen: Bool) -> Bool:
+        """Where a view measures what is before the ground, or where none was seen yet, before all that hid it."""
+        return np.zeros_like(seen) if view.depth is None else self._before_ground(view.depth, seen)
 
     def come(self, view: View, in_front: Bool) -> Bool:
         """Where what is `in_front` was not when measured before: what only comes nearer may be the background."""

@@ -38,14 +38,20 @@ class GroundDepth {
     }
   }
 
-  // Where a measured surface stands in front of the background's, and where one did when something was measured last.
+  // Where a measured surface stands in front of the background's.
+  Mask stands_before() const {
+    const float *measured = r_.measured;
+    if (measured == nullptr) return Mask(pixels_, 0);
+    return before_ground([measured](int64_t at) { return measured[at]; });
+  }
+
+  // The same, and where one did when something was measured last.
   void find_in_front() {
     const float *measured = r_.measured, *last = r_.measured_last;
+    in_front_ = stands_before();
     if (measured == nullptr) {
-      in_front_.assign(pixels_, 0);
       was_in_front_ = before_ground([last](int64_t at) { return last[at]; });
     } else {
-      in_front_ = before_ground([measured](int64_t at) { return measured[at]; });
       was_in_front_ = before_ground([=](int64_t at) { return measured[at] > 0 ? measured[at] : last[at]; });
     }
   }

@@ -89,15 +89,17 @@ class MaskUpdate {
     return {middle(ratios[0]), middle(ratios[1]), middle(ratios[2])};
   }
 
-  // Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves.
+  // Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves, and not where
+  // something is before all that the arm has let through: that moves, and behind it is what it was.
   void meet() {
     std::vector<int64_t> fresh;
     for (int64_t at = 0; at < pixels_; at++) {
       if (r_.seen[at] && !r_.known[at]) fresh.push_back(at);
     }
     if (fresh.empty()) return;
-    const Mask around = dilated(r_.mask, r_.width, r_.height, closing_);
+    const Mask around = dilated(r_.mask, r_.width, r_.height, closing_), before = depth_.stands_before();
     for (const int64_t at : fresh) {
+      if (before[at]) continue;
       r_.known[at] = 1;
       for (int k = 0; k < 3; k++) r_.background[k * pixels_ + at] = plain(k, at);
       depth_.meet(at);
@@ -175,7 +177,8 @@ class MaskUpdate {
 
   bool like_ground(int64_t at) const { return difference_[at] < 0.5f * threshold_; }
 
-  // What moved stays, until it looks like ground and no depth is missing; so does ground, never seen, that it encloses.
+  // What moved stays, until it looks like ground and no depth is missing, and so do the pixels around it, but for those
+  // that the arm hides: they tell of nothing. So does ground, never seen, that it encloses.
   void hold(Mask &mask) const {
     static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
     Mask ground(pixels_), hole(pixels_);
@@ -187,7 +190,9 @@ class MaskUpdate {
       uint8_t *__restrict__ out = to.data();
       for (int64_t at = 0; at < end; at++) out[at] = value(out[at], at);
     };
-    over(ground, [=](uint8_t, int64_t at) { return trusted[at] & (apart[at] < likeness) & (lost[at] ^ 1); });
+    over(ground, [=](uint8_t, int64_t at) {
+      return (trusted[at] & (apart[at] < likeness) & (lost[at] ^ 1)) | (seen[at] ^ 1);
+    });
     ground = eroded(ground, r_.width, r_.height, square);
     over(mask, [=, other = ground.data()](uint8_t is, int64_t at) { return is | (held[at] & (other[at] ^ 1)); });
     const Mask outline = closed(mask, r_.width, r_.height, closing_);
@@ -354,7 +359,7 @@ class MaskUpdate {
 #pragma omp simd
     for (int64_t at = 0; at < end; at++) {
       const uint8_t is_uncovered = uncovered[at], moves = now[at] & (is_uncovered ^ 1);
-      confirmed[at] |= (held[at] & (now[at] ^ 1)) | is_uncovered;
+      confirmed[at] |= (held[at] & (now[at] ^ 1) & seen[at]) | is_uncovered;
       trusted[at] |= is_uncovered;
       held[at] = moves;
       rate[at] = (seen[at] & (moves ^ 1)) != 0 ? (is_uncovered != 0 ? 1.f : learning_rate) : 0.f;
