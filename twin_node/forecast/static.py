@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,9 @@ from twin_node.scene import Bool, Grid, OccupancyLayer, Tier, TwinState, View
 
 GUESSED_M = 0.13
 """How far behind a Gaussian what it stands for may lie where no camera measures, m: places are guesses there."""
+STRAYS_M = 0.06
+"""How far off an arm its surface may have been measured, m: three times the noise of depth at 2 m. What is left there
+may hold the arm for good: while it stands no camera sees through."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,11 @@ class StaticSpace:
 
     def update(self, state: TwinState, carver: Carver, own: Bits | None = None) -> OccupancyLayer:
         """The static layer as of this state. `own`: the arm's own space; None where there is no arm, or nobody tells
-        where it is: once somebody does, what was taken to stand in its place is no longer."""
+        where it is: once somebody does, what was taken to stand in its place is no longer, nor what was close about it
+        unless it is measured again."""
         count = len(state.frames.views)
         if own is not None and self._doubtful is not None:
-            self._surfaces[own.mask() & self._doubtful] = False
+            self._surfaces[self._around(own).mask() & self._doubtful] = False
             self._doubtful, self._made_at = None, None
         if self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns:
             chosen = range(count) if self._made_at is None else (self._turn % count,)
@@ -73,6 +78,11 @@ class StaticSpace:
             indices = np.flatnonzero(occupied).astype(np.uint32)
             self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
         return self._layer
+
+    def _around(self, own: Bits) -> Bits:
+        for _ in range(math.ceil(STRAYS_M / self.grid.voxel_size)):
+            own = own.grown()
+        return own
 
     def _remember_surfaces(self, state: TwinState, carver: Carver, chosen: Iterable[int], knows_arm: bool) -> None:
         """Forgets surfaces that a camera sees through; adds those that the chosen views measure off their masks."""

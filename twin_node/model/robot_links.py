@@ -21,6 +21,9 @@ SKIN_M = 0.03
 ASTRAY_M = 0.06
 """The same where no camera sees past the arm there: hand-eye poses are off by a centimetre or two, and one Gaussian of
 the arm's rim that was taken for furniture would hold the arm for good."""
+ASTRAY_PX = 2.0
+"""The same in pixels of the coarsest camera that shows the arm there: at its rim a pixel may measure what is beside it.
+At 64 pixels across, 4 cm each, one such Gaussian was 6.3 cm off the arm, and held it for good."""
 CLOSE_M = 0.015
 """Distance from them at which a measured point does: errors of depth cameras. Capsules enclose links, so any inside."""
 
@@ -92,19 +95,22 @@ class RobotLinks:
     def bind(self, gaussians: Gaussians, joints: JointSample, masks: Sequence[Bool], cameras: Sequence[Camera]) -> None:
         """Makes STATIC Gaussians ROBOT that lie on the arm, and on a robot mask [H, W].
 
-        Within `SKIN_M` of a capsule, or within `ASTRAY_M` where no camera sees them beside the arm.
+        Within `SKIN_M` of a capsule, or where no camera sees them beside the arm within `ASTRAY_M`, or as much as
+        `ASTRAY_PX` pixels are there.
         """
         rows = gaussians.static_rows
         points = gaussians.means[rows].cpu().double().numpy()
         placed = self._placed(joints)
         found = nearest_capsules(placed.ends, placed.radii, points.T)
-        on_arm, beside = np.zeros(len(points), bool), np.zeros(len(points), bool)
+        on_arm, beside, pixel_m = np.zeros(len(points), bool), np.zeros(len(points), bool), np.zeros(len(points))
         for mask, camera in zip(masks, cameras, strict=True):
             seen = look(camera, points)
             covered = mask[seen.rows, seen.columns]
             on_arm |= seen.inside & covered
             beside |= seen.inside & ~covered
-        own = on_arm & (found.gaps < np.where(beside, SKIN_M, ASTRAY_M))
+            pixel_m = np.maximum(pixel_m, np.where(seen.inside & covered, seen.depth / camera.K[0, 0], 0))
+        astray_m = np.maximum(ASTRAY_M, ASTRAY_PX * pixel_m)
+        own = on_arm & (found.gaps < np.where(beside, SKIN_M, astray_m))
         link = placed.links[found.capsules]
         carrier = self._rows[torch.from_numpy(np.searchsorted(self._links, link[own]))]
         gaussians.board(rows[torch.from_numpy(own).to(rows.device)], carrier, self._nodes)
