@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from twin_node.nodes import sizing
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters, sized
 from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
-from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms
+from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms, while_people_work
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
@@ -79,6 +80,25 @@ def test_what_others_take_of_the_processor_does_not_count(monkeypatch: pytest.Mo
     for index in range(TRIED_SETS):
         one.take(frames(index))
     assert said == ["size small: 0 ms per set here, the best within 1e-06 ms"]
+
+
+@pytest.mark.parametrize(("moving", "times"), [(0, 1.9), (30, 1.45), (60, 1.0), (600, 1.0)])
+def test_sets_in_which_nothing_moves_yet_count_as_if_people_worked(moving: int, times: float) -> None:
+    """A launch took `large` before anybody had come, and with them an arm did half of what it does with `small`."""
+    mask = np.zeros((30, 40), np.bool_)
+    mask.flat[:moving] = True
+    state = WindowModel(MODEL).look(frames(0, 48))
+    assert while_people_work(replace(state, moving_masks=(mask,))) == pytest.approx(times)
+
+
+def test_a_trial_counts_what_sets_will_take_once_people_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    ticks = itertools.count()
+    monkeypatch.setattr(sizing.time, "thread_time", lambda: 0.010 * next(ticks))
+    one = trial(said)
+    for index in range(TRIED_SETS):
+        one.take(frames(index))
+    assert said == ["size small: 19 ms per set here, the best within 60 ms"]
 
 
 def test_a_trial_ends_when_its_twin_is_to_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,10 +80,10 @@ class SizeParameters:
     """Which size the twin has."""
 
     name: SizeChoice = SizeChoice.GIVEN
-    budget_ms: float = 35.0
-    """What model and forecast may take of a set where the size is measured, ms of their thread's processor time. Beside
-    arm, driver and viewer on two cores obstacles are four to five times as old when the arm hears of them, and what an
-    arm may do beside people falls to a third from 60 to 100 ms."""
+    budget_ms: float = 45.0
+    """What model and forecast may take of a set with people at work, where the size is measured, ms of their thread's
+    processor time. Beside arm, driver and viewer on two cores obstacles are three to four times as old when the arm
+    hears of them, and what an arm may do beside people falls to a third from 60 to 100 ms."""
 
     def __post_init__(self) -> None:
         """Raises `ParameterError` for a budget that nothing keeps."""

@@ -15,13 +15,18 @@ from twin_node.model import ModelParameters, WindowModel
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS
 from twin_node.nodes.sizes import SIZES
 from twin_node.robot import ArmModel
-from twin_node.scene import FrameSet, Grid
+from twin_node.scene import FrameSet, Grid, TwinState
 from twin_node.scene.narrowing import Narrower
 
 TRIED_SETS = 10
 """Sets that a size is timed on; the first, which builds the model, does not count."""
 SPARE = 0.8
 """Share of a budget that the median set may take: slow sets take longer."""
+AT_REST = 1.9
+"""How many times as long a set takes while people work as while nothing moves, of whatever size: 27 for 14, 31 for 16,
+35 for 18 and 39 for 20 ms from `tiny` to `large`."""
+AT_WORK = 0.05
+"""Share of the pixels that move by then; of somebody who reaches in it is 6 %."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +61,26 @@ def median_ms(
     model: WindowModel,
     forecaster: Forecaster,
     clock: Callable[[], float] = time.perf_counter,
+    counted: Callable[[TwinState], float] = lambda _: 1.0,
 ) -> float | None:
-    """Median time of model and forecast of a set, ms, by a clock of seconds; None where less than two sets came."""
+    """Median time of model and forecast of a set, ms, by a clock of seconds; None where less than two sets came.
+
+    `counted(state)`: how many times that of a set counts.
+    """
     laps = []
     for frames in sets:
         begun = clock()
         state = model.update(frames)
         forecaster.update(state, state.stamp + ASSUMED_LATENCY_NS)
-        laps.append(1e3 * (clock() - begun))
+        laps.append(1e3 * (clock() - begun) * counted(state))
     return float(np.median(laps[1:])) if len(laps) > 1 else None
+
+
+def while_people_work(state: TwinState) -> float:
+    """How many times as long such a set will take once people work there; a cell begins with nobody in view."""
+    masks = state.moving_masks
+    share = sum(np.count_nonzero(mask) for mask in masks) / sum(mask.size for mask in masks)
+    return AT_REST - (AT_REST - 1) * min(share / AT_WORK, 1)
 
 
 @dataclass(frozen=True)
@@ -78,7 +94,8 @@ class Sized:
 class Trial:
     """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took.
 
-    Counted is the processor time of its thread: what a set takes where nobody else wants the processor.
+    Counted is the processor time of its thread, what a set takes where nobody else wants the processor, and what it
+    would be with people at work: sets of a cell in which nothing moves yet cost half.
     """
 
     def __init__(
@@ -127,5 +144,6 @@ class Trial:
         forecaster = Forecaster(self._grid, self._forecast, self._arm)
         sets = takewhile(lambda _: not self._is_ending(), self._sets)
         narrowed = (one.narrower.narrowed(frames) for frames in sets)
-        spent = median_ms(narrowed, one.model, forecaster, time.thread_time)  # others may start up meanwhile
+        clock = time.thread_time  # others may start up meanwhile
+        spent = median_ms(narrowed, one.model, forecaster, clock, while_people_work)
         return math.inf if spent is None else spent
