@@ -53,6 +53,18 @@ def test_who_is_told_more_never_stands_sooner_or_nearer(
     assert slower.steady_s + slower.braking_s <= faster.steady_s + faster.braking_s + 1e-9
 
 
+@pytest.mark.parametrize("program", [1.0, 0.05, 0.0])
+def test_an_arm_that_slides_to_a_stop_takes_as_long_from_a_slow_part_of_its_program(program: float) -> None:
+    """Its controller takes all of its speed to none in 0.2 s; a stopping table by joint speeds knows nothing of it."""
+    table = StoppingTable(np.array([3.0]), np.full((1, 6), 0.03), np.full((1, 6), 0.045))
+    motion = ArmMotion(NOW, 0.1, program * TURNING, table, 0.0, Underway(0.02, 0.4, slide_s=0.2))
+    assert motion.course(1.0).duration_s == pytest.approx(0.1 + 0.2)
+    assert motion.course(1.0).braking_s == pytest.approx(0.1)
+    assert motion.course(0.5).duration_s == pytest.approx(0.1 + 0.1)
+    assert motion.course(0.0).duration_s == pytest.approx(0.02 + 0.08)  # of what is underway, once it has heard
+    assert motion.course(0.0).braking_s == pytest.approx(0.4 * 0.04)
+
+
 def test_commands_are_underway_for_as_long_as_they_take() -> None:
     commands = Commands(0.1)
     assert commands.underway(NOW) == Underway(0.1, 0.0)

@@ -341,6 +341,8 @@ def test_a_refusal_is_not_told_of_a_silence_after_later_obstacles() -> None:
 def test_a_command_cannot_arrive_before_it_is_sent(value: float) -> None:
     with pytest.raises(TwinError, match=f"command_latency_ms: expected a number of 0 or more, found {value:g}"):
         ArmParameters(command_latency_ms=value)
+    with pytest.raises(TwinError, match=f"slide_s: expected a number of 0 or more, found {value:g}"):
+        ArmParameters(slide_s=value)
 
 
 @pytest.mark.parametrize("frame", ["base", "world", ""])

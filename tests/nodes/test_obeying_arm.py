@@ -48,7 +48,7 @@ def test_nor_does_one_that_was_stopped_before_its_node_began() -> None:
 
 
 def test_an_arm_that_is_led_by_hand_or_obeys_nobody_is_judged_as_it_moves() -> None:
-    cell = Cell(Timers())
+    cell = Cell(Timers(), slide_s=0.0)  # nor does it follow a slider
     stopped = obeying(cell, READY, 400)
     at = forward_kinematics(MODEL, READY + 1.5 * TURNING)[-1, :3, 3]
     for _ in range(30):
@@ -77,6 +77,25 @@ def test_nor_where_old_joints_would_have_gone_by_its_program() -> None:
     cell.somebody(at=at)
     told = cell.somebody(at=at)
     assert (told.reason, told.speed_fraction) == ("stopped for MOVING", 0)
+
+
+@pytest.mark.parametrize(("servoed", "turning"), [(False, 0.5), (True, 0.2)])
+def test_an_arm_that_follows_a_slider_takes_as_long_to_stop_from_a_slow_part_of_its_program(
+    servoed: bool, turning: float
+) -> None:
+    """Its program began to move: by the stopping table it would have stood in 0.02 s, and it took 0.15 s."""
+
+    def told(slide_s: float) -> float:
+        cell = Cell(Timers(), slide_s=slide_s, servoed=servoed, limiter={"rise_per_s": 100.0})
+        for _ in range(30):
+            cell.wait(33)
+            cell.path(begins_ms=0, lasts_ms=200, velocity=turning * TURNING)
+            cell.joints(qd=turning * TURNING)
+            cell.somebody()
+        return cell.told[-1].speed_fraction
+
+    assert 0.5 < told(0.2) < 1
+    assert (told(0.2) < told(0.0)) is not servoed
 
 
 @pytest.mark.parametrize("tells_path", [True, False])

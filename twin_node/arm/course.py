@@ -20,10 +20,14 @@ class Underway:
     """How long a command is on its way, s; a part of the reaction time."""
     share: float = 0.0
     """Largest share of its speed that the arm was told within that time, the command that it then obeyed included."""
+    slide_s: float = 0.0
+    """How long the arm's controller takes from all of its speed to none, s, where a share is what it is told: as long
+    from a slow part of its program, which the stopping table tells nothing of."""
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for values that are negative or not finite."""
-        check_ranges(self, ArmError, "commands underway: ", latency_s=NOT_NEGATIVE, share=NOT_NEGATIVE)
+        held = {"latency_s": NOT_NEGATIVE, "share": NOT_NEGATIVE, "slide_s": NOT_NEGATIVE}
+        check_ranges(self, ArmError, "commands underway: ", **held)
 
 
 class Commands:
@@ -96,7 +100,12 @@ class ArmMotion:
 
     @cached_property
     def _stop_now(self) -> Stop:
-        return self.table.stop(self.going * self.joint_speeds)
+        return self._stop(self.going, self.underway.share)
+
+    def _stop(self, share: float, told: float) -> Stop:
+        """From a share of its speed; no sooner than its controller slides, steadily, from what it was told to none."""
+        stop, slide_s = self.table.stop(share * self.joint_speeds), told * self.underway.slide_s
+        return Stop(max(stop.duration_s, slide_s), max(stop.travel_s, slide_s / 2))
 
     @cached_property
     def _courses(self) -> dict[float, Course]:
@@ -114,7 +123,7 @@ class ArmMotion:
         return self._courses[share]
 
     def _course(self, share: float) -> Course:
-        stop = self.table.stop(share * self.joint_speeds)
+        stop = self._stop(share, share)
         if share >= self.going:
             return Course(share * self.reaction_s, share * stop.travel_s, self.reaction_s + stop.duration_s)
         deaf_s = min(self.underway.latency_s, self.reaction_s)

@@ -266,6 +266,7 @@ class ArmNode(Node):
         law, measured, underway = self._parameters.separation, None, None
         if self._is_live:  # a log's arm brakes for nobody
             measured, underway = self._arm.joints(now), self._commands.underway(now)
+            underway = underway if is_servoed else replace(underway, slide_s=self._parameters.slide_s)
         decision = decide(self._checker, path, stamp, reaction_s, law, table, measured, underway)
         return replace(decision, reason=decision.reason + MADE_UP) if self._arm.is_made_up else decision
 

@@ -135,14 +135,18 @@ class ArmParameters:
     counts."""
     command_latency_ms: float = 20.0
     """From the decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
+    slide_s: float = 0.2
+    """How long the controller takes from all of its program's speed to none when its slider is set to zero, s, however
+    slow the program is just then. As the stand-in takes; UR publishes no figure: measure yours."""
     max_obstacles: int = 1024
     """Room for spheres and for boxes each: 832 boxes are the most of the cover's defaults (`CoverParameters.most`)."""
     separation: SeparationParameters = field(default_factory=SeparationParameters)
     limiter: LimiterParameters = field(default_factory=LimiterParameters)
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for a latency that no command has, and for room for nothing."""
-        check_ranges(self, ArmError, "arm: ", command_latency_ms=NOT_NEGATIVE, max_obstacles=Range(1))
+        """Raises `ArmError` for times that no command takes, and for room for nothing."""
+        told = {"command_latency_ms": NOT_NEGATIVE, "slide_s": NOT_NEGATIVE}
+        check_ranges(self, ArmError, "arm: ", **told, max_obstacles=Range(1))
         if self.lookahead_s is not None:
             check_ranges(self, ArmError, "arm: ", lookahead_s=LOOKAHEADS_S)
 
