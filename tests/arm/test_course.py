@@ -40,7 +40,7 @@ def test_the_course_of_an_arm_that_brakes_is_that_of_its_steps(
 @given(
     shares=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)),
     measured=st.floats(0.0, 1.5),
-    underway=st.builds(Underway, latency_s=st.floats(0.0, 0.6), share=st.floats(0.0, 1.0)),
+    underway=st.builds(Underway, st.floats(0.0, 0.6), st.floats(0.0, 1.0), slide_s=st.floats(0.0, 0.5)),
 )
 def test_who_is_told_more_never_stands_sooner_or_nearer(
     shares: tuple[float, float], measured: float, underway: Underway
@@ -63,6 +63,14 @@ def test_an_arm_that_slides_to_a_stop_takes_as_long_from_a_slow_part_of_its_prog
     assert motion.course(0.5).duration_s == pytest.approx(0.1 + 0.1)
     assert motion.course(0.0).duration_s == pytest.approx(0.02 + 0.08)  # of what is underway, once it has heard
     assert motion.course(0.0).braking_s == pytest.approx(0.4 * 0.04)
+
+
+def test_what_is_told_an_arm_that_still_brakes_is_slid_from_as_well() -> None:
+    """It was measured faster than anybody told it to be: of a new share it was held to stop by the table alone."""
+    table = StoppingTable(np.array([3.0]), np.full((1, 6), 0.03), np.full((1, 6), 0.045))
+    course = ArmMotion(NOW, 0.1, TURNING, table, 1.0, Underway(0.02, 0.0, slide_s=0.2)).course(0.9)
+    assert course.duration_s == pytest.approx(0.1 + 0.9 * 0.2)
+    assert course.braking_s == pytest.approx(0.9**2 * 0.1)
 
 
 def test_commands_are_underway_for_as_long_as_they_take() -> None:

@@ -98,36 +98,19 @@ def test_the_arm_does_not_stand() -> None:
     assert len(space.update(state, carver).indices) == 0
 
 
-def test_what_was_measured_before_anybody_told_of_the_joints_is_the_arms_once_somebody_does() -> None:
-    """Cameras come before the driver: the arm stood in its own way for good, for nobody saw past where it was."""
-    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
-    shown = state_of(0, np.array([0.0, 0.0, 0.3]), with_depth=True)
+@pytest.mark.parametrize("own_m", [0.16, 0.09])
+def test_what_was_measured_before_anybody_told_of_the_joints_is_the_arms_once_somebody_does(own_m: float) -> None:
+    """Cameras come before the driver: the arm stood in its own way for good, for nobody saw past where it was. So is
+    what noise put up to 6 cm off it: two to four voxels stayed in the air about an arm."""
+    carver, space, middle = Carver(RigTables(GRID)), StaticSpace(GRID), np.array([0.0, 0.0, 0.3])
+    shown = state_of(0, middle, with_depth=True)
     shown = replace(shown, moving_masks=tuple(np.zeros_like(mask) for mask in shown.moving_masks))
     carver.carve(shown, 0.0)
     first = space.update(shown, carver).indices
-    taken = Bits.of_indices(GRID.dims, ball_voxels(np.array([0.0, 0.0, 0.3]), 0.16))
-    assert taken.holds(first).sum() > 100
+    around, own = (Bits.of_indices(GRID.dims, ball_voxels(middle, radius)) for radius in (0.16, own_m))
+    assert around.holds(first).sum() > 100
+    assert (own_m < 0.16) == ((around.holds(first) & ~own.holds(first)).sum() > 50)
     hidden = tuple(np.ones_like(mask) for mask in shown.moving_masks)  # the arm's mask shows nothing else here
-    later = replace(shown, stamp=100_000_000, robot_masks=hidden)
-    carver.carve(later, 0.0)
-    known = space.update(later, carver, taken).indices
-    assert not taken.holds(known).any()
-    assert np.array_equal(known, first[~taken.holds(first)])
-
-
-def test_what_depths_noise_put_beside_an_arm_before_its_joints_were_told_is_forgotten_too() -> None:
-    """Two to four voxels stayed in the air about an arm; while it stands no camera sees through there."""
-    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
-    shown = state_of(0, np.array([0.0, 0.0, 0.3]), with_depth=True)
-    shown = replace(shown, moving_masks=tuple(np.zeros_like(mask) for mask in shown.moving_masks))
-    carver.carve(shown, 0.0)
-    first = space.update(shown, carver).indices
-    around, own = (
-        Bits.of_indices(GRID.dims, ball_voxels(np.array([0.0, 0.0, 0.3]), radius)) for radius in (0.16, 0.09)
-    )
-    strayed = around.holds(first) & ~own.holds(first)
-    assert strayed.sum() > 50
-    hidden = tuple(np.ones_like(mask) for mask in shown.moving_masks)
     later = replace(shown, stamp=100_000_000, robot_masks=hidden)
     carver.carve(later, 0.0)
     known = space.update(later, carver, own).indices

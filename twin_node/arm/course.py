@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from twin_node.arm.errors import ArmError
@@ -26,8 +26,9 @@ class Underway:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for values that are negative or not finite."""
-        held = {"latency_s": NOT_NEGATIVE, "share": NOT_NEGATIVE, "slide_s": NOT_NEGATIVE}
-        check_ranges(self, ArmError, "commands underway: ", **held)
+        check_ranges(
+            self, ArmError, "commands underway: ", latency_s=NOT_NEGATIVE, share=NOT_NEGATIVE, slide_s=NOT_NEGATIVE
+        )
 
 
 class Commands:
@@ -100,12 +101,7 @@ class ArmMotion:
 
     @cached_property
     def _stop_now(self) -> Stop:
-        return self._stop(self.going, self.underway.share)
-
-    def _stop(self, share: float, told: float) -> Stop:
-        """From a share of its speed; no sooner than its controller slides, steadily, from what it was told to none."""
-        stop, slide_s = self.table.stop(share * self.joint_speeds), told * self.underway.slide_s
-        return Stop(max(stop.duration_s, slide_s), max(stop.travel_s, slide_s / 2))
+        return self.table.stop(self.going * self.joint_speeds)
 
     @cached_property
     def _courses(self) -> dict[float, Course]:
@@ -119,14 +115,29 @@ class ArmMotion:
         at that until it is told.
         """
         if share not in self._courses:
-            self._courses[share] = self._course(share)
+            self._courses[share] = self._slid(self._course(share), share)
         return self._courses[share]
 
+    def _slid(self, course: Course, share: float) -> Course:
+        """That course, but no sooner over, nor shorter, than its controller slides: from a share that is told now as
+        soon as the next command is heard, and from what was told before as soon as this one is."""
+        slide_s, before, deaf_s = self.underway.slide_s, self.underway.share, self._deaf_s
+        duration_s = max(course.duration_s, self.reaction_s + share * slide_s, deaf_s + before * slide_s)
+        return replace(
+            course, braking_s=max(course.braking_s, max(share, before) ** 2 * slide_s / 2), duration_s=duration_s
+        )
+
+    @property
+    def _deaf_s(self) -> float:
+        """Until it hears of a command of now, s."""
+        return min(self.underway.latency_s, self.reaction_s)
+
     def _course(self, share: float) -> Course:
-        stop = self._stop(share, share)
+        """By the stopping table alone."""
+        stop = self.table.stop(share * self.joint_speeds)
         if share >= self.going:
             return Course(share * self.reaction_s, share * stop.travel_s, self.reaction_s + stop.duration_s)
-        deaf_s = min(self.underway.latency_s, self.reaction_s)
+        deaf_s = self._deaf_s
         way_s = self.going * self._stop_now.travel_s
         braking_s = 2 * (way_s - share * stop.travel_s) / (self.going + share)  # steadily, until it is no faster
         left_s = max(self.reaction_s - deaf_s - braking_s, 0.0)

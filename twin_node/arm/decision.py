@@ -44,7 +44,8 @@ def decide(
     `reaction_s` is the measured time from now until the arm begins to brake. `table` is the arm's stopping data, by
     default those of its name. `joints`, as measured now, tell of an arm that still brakes and is faster than it was
     told; without them it is taken to be as fast as that. `underway` says how much of the reaction time a command takes
-    to the arm, and what that does meanwhile; without it the arm is taken to obey at once. The pair that falls most
+    to the arm, what that does meanwhile, and how long its controller slides to a stop; without it the arm is taken to
+    obey at once. The pair that falls most
     short at full speed decides and is named: its distance and closing speed are from the arm's present pose to where
     the obstacles will be. `distance` is the smallest of any pair along the path. An arm whose checker was never given
     obstacles stands; how old evidence may be (`evidence_stamp`), `SpeedLimiter` and the driver judge. Raises `ArmError`

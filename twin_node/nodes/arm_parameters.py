@@ -145,8 +145,14 @@ class ArmParameters:
 
     def __post_init__(self) -> None:
         """Raises `ArmError` for times that no command takes, and for room for nothing."""
-        told = {"command_latency_ms": NOT_NEGATIVE, "slide_s": NOT_NEGATIVE}
-        check_ranges(self, ArmError, "arm: ", **told, max_obstacles=Range(1))
+        check_ranges(
+            self,
+            ArmError,
+            "arm: ",
+            command_latency_ms=NOT_NEGATIVE,
+            slide_s=NOT_NEGATIVE,
+            max_obstacles=Range(1),
+        )
         if self.lookahead_s is not None:
             check_ranges(self, ArmError, "arm: ", lookahead_s=LOOKAHEADS_S)
 
