@@ -163,6 +163,15 @@ def test_a_launch_file_is_a_parameter_file_too() -> None:
     assert load_parameters(Path("launch/sim_cell.yaml")).arm.model == "ur5e"
 
 
+@pytest.mark.parametrize("name", ["sim_cell", "oak_rig", "two_machines"])
+def test_whoever_knows_an_arm_in_a_launch_knows_the_one_it_is_given(name: str) -> None:
+    given = {"oak_rig": ["rig:=a.yaml", "robot:=10.0.0.2"], "two_machines": ["role:=twin"]}.get(name, [])
+    plan = read_launch_file(f"launch/{name}.yaml", [*given, "model:=ur16e"])
+    known = {section: values["model"] for section, values in plan.sections.items() if "model" in values}
+    assert "arm" in known
+    assert set(known.values()) == {"ur16e"}
+
+
 def test_parameters_that_no_node_reads_are_refused(small: Path, tmp_path: Path) -> None:
     """The twin's own are in the sections of the chain, and those of viewers' topics too."""
     words = r"node 'twin' has no parameters of its own, found width; .* in synchronizer, drift, model"

@@ -80,7 +80,7 @@ class SizeParameters:
     """Which size the twin has."""
 
     name: SizeChoice = SizeChoice.GIVEN
-    budget_ms: float = 45.0
+    budget_ms: float = 40.0
     """What model and forecast may take of a set with people at work, where the size is measured, ms of their thread's
     processor time. Beside arm, driver and viewer on two cores obstacles are three to four times as old when the arm
     hears of them, and what an arm may do beside people falls to a third from 60 to 100 ms."""
