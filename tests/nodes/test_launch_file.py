@@ -160,7 +160,25 @@ def test_all_nodes_in_one_process(small: Path) -> None:
 
 def test_a_launch_file_is_a_parameter_file_too() -> None:
     assert load_parameters(None).synchronizer.width == 160
-    assert load_parameters(Path("launch/sim_cell.yaml")).arm.model == "ur5e"
+    for name in ("sim_cell", "oak_rig", "two_machines"):
+        assert load_parameters(Path(f"launch/{name}.yaml")).arm.model == "ur5e"
+
+
+def test_arguments_have_their_defaults_where_a_launch_file_gives_parameters_alone(small: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    told = "\narm:\n  ros__parameters: {model: $(var arm), joints: [$(var arm)_a]}\n"
+    other.write_text(SMALL.replace("who: {default: twin}", "who: {default: twin}\n    arm: {default: ur3e}") + told)
+    assert load_parameters(other).arm.model == "ur3e"
+    plan = read_launch_file(small, ["log:=a.mcap"], [], [other])
+    assert plan.sections["arm"] == {"model": "ur3e", "joints": ["ur3e_a"]}
+
+
+@pytest.mark.parametrize("value", ["model: $(var log)", "joints: [a, b_$(var log)]", "limiter: {x: $(var log)}"])
+def test_parameters_that_wait_for_an_argument_are_refused_where_none_is_given(value: str, small: Path) -> None:
+    small.write_text(f"{SMALL}arm:\n  ros__parameters: {{{value}}}\n")
+    words = r"small.yaml: arm: (model|joints|limiter: x): the argument 'log' has no default, .*; write the value"
+    with pytest.raises(TwinError, match=words):
+        load_parameters(small)
 
 
 @pytest.mark.parametrize("name", ["sim_cell", "oak_rig", "two_machines"])

@@ -11,11 +11,12 @@ from twin_node import resources
 from twin_node.forecast import CoverParameters, ForecastParameters, GridParameters
 from twin_node.model import ModelParameters
 from twin_node.nodes.arm_parameters import ArmParameters
+from twin_node.nodes.launch.arguments import parameters_alone
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, check_section, check_shared
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig.drift import DriftParameters
-from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, read_parameters, values_of
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, values_of
 
 DEFAULT_PARAMETERS = "launch/replay.yaml"
 
@@ -49,7 +50,7 @@ def load_parameters(path: Path | None) -> ChainParameters:
     Raises `ParameterError` for a key that does not exist, with the nearest one, and `GraphError` for such a section.
     """
     path = resources.find(path or DEFAULT_PARAMETERS)
-    sections = read_parameters(path)
+    sections = parameters_alone(path)
     for name, values in sections.items():
         if name == EVERY_NODE:
             check_shared(values, f"{path}: {name}")

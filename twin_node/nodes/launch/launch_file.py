@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from twin_node import resources
-from twin_node.errors import kind_in_words, kind_of, told
+from twin_node.errors import kind_of, told
+from twin_node.nodes.launch.arguments import (
+    Argument,
+    arguments_of,
+    launch_section,
+    parameters_alone,
+    parsed,
+    substituted,
+    table_of,
+    values_given,
+)
 from twin_node.nodes.launch.kinds import (
     CHAIN_SECTIONS,
     IN_LOCKSTEP,
@@ -17,16 +26,11 @@ from twin_node.nodes.launch.kinds import (
     check_section,
     check_shared,
     is_foreign,
-    nearest,
 )
 from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, read_flag, read_process
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
-from twin_node.yaml_file import YAML_ERRORS, parse_yaml, read_yaml
-
-VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
-"""A value that the user gives, as in the YAML launch files of ROS 2."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +51,10 @@ class LaunchPlan:
     """Of all nodes: their own names of topics -> those on the graph."""
 
 
-@dataclass(frozen=True)
-class Argument:
-    """What a launch file lets the user set."""
-
-    name: str
-    help: str = ""
-    default: Any = None
-    is_required: bool = False
-
-
 def read_arguments(path: Path | str) -> tuple[Argument, ...]:
     """The arguments of a launch file. Raises `GraphError` where it is none."""
     path = resources.find(path)
-    return _arguments(_launch_section(path), path)
+    return arguments_of(launch_section(path), path)
 
 
 def read_launch_file(
@@ -77,10 +71,10 @@ def read_launch_file(
     Raises `GraphError` or `ParameterError` for unknown names, with the nearest known one, and for missing values.
     """
     path = resources.find(path)
-    section = _launch_section(path)
-    values = _values(_arguments(section, path), given, path)
-    section = _substituted(section, values, path)
-    entries = _table(section, "processes", path)
+    section = launch_section(path)
+    values = values_given(arguments_of(section, path), given, path)
+    section = substituted(section, values, path)
+    entries = table_of(section, "processes", path)
     processes = tuple(
         replace(read_process(str(name), entry, path), place=place)
         for place, (name, entry) in enumerate(entries.items())
@@ -92,9 +86,9 @@ def read_launch_file(
     is_lockstep = read_flag(section, "lockstep", False, f"{path}: {LAUNCH}")
     if is_lockstep:
         _check_lockstep(processes, path)
-    sections = _substituted(read_parameters(path), values, path)
+    sections = substituted(read_parameters(path), values, path)
     for file in parameter_files:
-        given_here = read_parameters(resources.find(file))
+        given_here = parameters_alone(resources.find(file))
         _check_sections(given_here, str(file), processes)
         sections = _merged(sections, given_here)
     _set_parameters(sections, parameters)
@@ -160,96 +154,6 @@ def _nothing_to_run(path: Path, entries: Mapping[str, Any], given: Sequence[str]
     )
 
 
-def _launch_section(path: Path) -> dict[str, Any]:
-    content = read_yaml(path, "a launch file (YAML)", GraphError)
-    if not isinstance(content, dict) or LAUNCH not in content:
-        raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")
-    section = content[LAUNCH]
-    if not isinstance(section, dict):
-        raise GraphError(f"{path}: {LAUNCH}: expected keys and values, found {told(section)}")
-    known = {"arguments", "processes", "use_sim_time", "lockstep", "zenoh"}
-    for key in section:
-        if key not in known:
-            raise GraphError(f"{path}: {LAUNCH}: unknown key '{key}'; {nearest(str(key), known)}")
-    return section
-
-
-def _table(section: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
-    """A part of the launch section that holds keys and values; empty where it is left out."""
-    value = section.get(key)
-    if not isinstance(value, dict | None):
-        raise GraphError(f"{path}: {LAUNCH}: {key}: expected keys and values, found {told(value)}")
-    return value or {}
-
-
-def _arguments(section: Mapping[str, Any], path: Path) -> tuple[Argument, ...]:
-    found = []
-    for name, given in _table(section, "arguments", path).items():
-        entry = given or {}
-        if not isinstance(entry, dict) or set(entry) - {"default", "help"}:
-            raise GraphError(f"{path}: argument '{name}': expected 'default' and 'help', found {entry!r}")
-        is_required = "default" not in entry
-        found.append(Argument(str(name), str(entry.get("help", "")), entry.get("default"), is_required))
-    return tuple(found)
-
-
-def _values(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> dict[str, Any]:
-    known = {argument.name: argument for argument in arguments}
-    values: dict[str, Any] = {argument.name: argument.default for argument in arguments}
-    for text in given:
-        name, separator, value = text.partition(":=")
-        if not separator:
-            raise GraphError(f"{text}: expected NAME:=VALUE, for example log:=run.mcap")
-        if name not in known:
-            raise GraphError(f"{path}: unknown argument '{name}'; {nearest(name, set(known))}")
-        values[name] = _typed(known[name], value, path)
-    missing = [a.name for a in arguments if a.is_required and not any(g.startswith(f"{a.name}:=") for g in given)]
-    if missing:
-        hints = "; ".join(f"{name}: {known[name].help}" for name in missing)
-        raise GraphError(f"{path}: needs {' and '.join(f'{name}:=VALUE' for name in missing)} ({hints})")
-    return values
-
-
-def _typed(argument: Argument, text: str, path: Path) -> Any:
-    """A value of the type of the argument's default; text where it has none."""
-    kind = type(argument.default)
-    if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
-        return str(Path(text).expanduser()) if text.startswith("~/") else text
-    value = _parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not kind:
-        raise GraphError(f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
-    return value
-
-
-def _parsed(text: str, expected: str) -> Any:
-    """A value as YAML has it; `expected` begins the error for one that is none."""
-    try:
-        return parse_yaml(text)
-    except YAML_ERRORS:
-        raise GraphError(f"{expected}, found what is no YAML; quote it") from None
-
-
-def _substituted(value: Any, values: Mapping[str, Any], path: Path) -> Any:
-    if isinstance(value, dict):
-        return {key: _substituted(inner, values, path) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_substituted(inner, values, path) for inner in value]
-    if not isinstance(value, str):
-        return value
-    whole = VARIABLE.fullmatch(value)
-    if whole:
-        return _value_of(whole, values, path)
-    return VARIABLE.sub(lambda match: str(_value_of(match, values, path)), value)
-
-
-def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path) -> Any:
-    if match[1] not in values:
-        raise GraphError(f"{path}: $(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
-    return values[match[1]]
-
-
 def _follows_clock(section: Mapping[str, Any], sections: Sections, where: str) -> bool:
     """As the file's launch section says, unless parameters of every node say otherwise, as those of ROS nodes do."""
     told = read_flag(section, "use_sim_time", False, f"{where}: {LAUNCH}")
@@ -294,7 +198,7 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
             inner = inner.setdefault(key, {})
             if not isinstance(inner, dict):
                 raise GraphError(f"-p {text}: expected keys and values under '{key}', found {told(inner)}")
-        inner[last] = _parsed(value, f"-p {text}: expected a value")
+        inner[last] = parsed(value, f"-p {text}: expected a value")
 
 
 def _check_takes_part(given: Sequence[str], entries: Mapping[str, Any], path: Path) -> None:

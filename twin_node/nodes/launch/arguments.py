@@ -1,0 +1,159 @@
+"""What a launch file lets the user set, and where its values go."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin_node.errors import kind_in_words, told
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, nearest
+from twin_node.nodes.topics import GraphError
+from twin_node.runtime.parameters import LAUNCH, read_parameters
+from twin_node.yaml_file import YAML_ERRORS, parse_yaml, read_yaml
+
+VARIABLE = re.compile(r"\$\(var ([A-Za-z_]\w*)\)")
+"""A value that the user gives, as in the YAML launch files of ROS 2."""
+
+
+@dataclass(frozen=True)
+class Argument:
+    """What a launch file lets the user set."""
+
+    name: str
+    help: str = ""
+    default: Any = None
+    is_required: bool = False
+
+
+def launch_section(path: Path) -> dict[str, Any]:
+    """The section `launch` of a launch file. Raises `GraphError` where it is none."""
+    content = read_yaml(path, "a launch file (YAML)", GraphError)
+    if not isinstance(content, dict) or LAUNCH not in content:
+        raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")
+    section = content[LAUNCH]
+    if not isinstance(section, dict):
+        raise GraphError(f"{path}: {LAUNCH}: expected keys and values, found {told(section)}")
+    known = {"arguments", "processes", "use_sim_time", "lockstep", "zenoh"}
+    for key in section:
+        if key not in known:
+            raise GraphError(f"{path}: {LAUNCH}: unknown key '{key}'; {nearest(str(key), known)}")
+    return section
+
+
+def table_of(section: Mapping[str, Any], key: str, path: Path) -> dict[str, Any]:
+    """A part of the launch section that holds keys and values; empty where it is left out.
+
+    Raises `GraphError` for anything else.
+    """
+    value = section.get(key)
+    if not isinstance(value, dict | None):
+        raise GraphError(f"{path}: {LAUNCH}: {key}: expected keys and values, found {told(value)}")
+    return value or {}
+
+
+def arguments_of(section: Mapping[str, Any], path: Path) -> tuple[Argument, ...]:
+    """Those of a launch section. Raises `GraphError` for what is none."""
+    found = []
+    for name, given in table_of(section, "arguments", path).items():
+        entry = given or {}
+        if not isinstance(entry, dict) or set(entry) - {"default", "help"}:
+            raise GraphError(f"{path}: argument '{name}': expected 'default' and 'help', found {entry!r}")
+        is_required = "default" not in entry
+        found.append(Argument(str(name), str(entry.get("help", "")), entry.get("default"), is_required))
+    return tuple(found)
+
+
+def values_given(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> dict[str, Any]:
+    """The value of each argument, `name:=value` for those given. Raises `GraphError` for unknown and missing ones."""
+    known = {argument.name: argument for argument in arguments}
+    values: dict[str, Any] = {argument.name: argument.default for argument in arguments}
+    for text in given:
+        name, separator, value = text.partition(":=")
+        if not separator:
+            raise GraphError(f"{text}: expected NAME:=VALUE, for example log:=run.mcap")
+        if name not in known:
+            raise GraphError(f"{path}: unknown argument '{name}'; {nearest(name, set(known))}")
+        values[name] = _typed(known[name], value, path)
+    missing = [a.name for a in arguments if a.is_required and not any(g.startswith(f"{a.name}:=") for g in given)]
+    if missing:
+        hints = "; ".join(f"{name}: {known[name].help}" for name in missing)
+        raise GraphError(f"{path}: needs {' and '.join(f'{name}:=VALUE' for name in missing)} ({hints})")
+    return values
+
+
+def _typed(argument: Argument, text: str, path: Path) -> Any:
+    """A value of the type of the argument's default; text where it has none."""
+    kind = type(argument.default)
+    if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
+        return str(Path(text).expanduser()) if text.startswith("~/") else text
+    value = parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise GraphError(f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
+    return value
+
+
+def parsed(text: str, expected: str) -> Any:
+    """A value as YAML has it; `expected` begins the error for one that is none."""
+    try:
+        return parse_yaml(text)
+    except YAML_ERRORS:
+        raise GraphError(f"{expected}, found what is no YAML; quote it") from None
+
+
+def parameters_alone(path: Path) -> dict[str, Mapping[str, Any]]:
+    """Node name -> its parameters, of a parameter file, or of a launch file that nothing is given to: its arguments
+    are as they are by default.
+
+    Raises `ParameterError` where the file is neither, and `GraphError` for a parameter of the chain that hangs on an
+    argument without a default.
+    """
+    sections = read_parameters(path)
+    content = read_yaml(path, "a parameter file (YAML)", GraphError)
+    if not isinstance(content, Mapping) or LAUNCH not in content:
+        return sections
+    arguments = arguments_of(launch_section(path), path)
+    required = {argument.name: f"$(var {argument.name})" for argument in arguments if argument.is_required}
+    defaults = {argument.name: argument.default for argument in arguments}
+    filled: dict[str, Mapping[str, Any]] = substituted(sections, defaults | required, path)
+    _check_complete({name: filled[name] for name in CHAIN_SECTIONS if name in filled}, str(path))
+    return filled
+
+
+def _check_complete(value: Any, where: str) -> None:
+    """Raises `GraphError` for a value that waits for an argument."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _check_complete(inner, f"{where}: {key}")
+    elif isinstance(value, list):
+        for inner in value:
+            _check_complete(inner, where)
+    elif isinstance(value, str) and (waits := VARIABLE.search(value)):
+        raise GraphError(
+            f"{where}: the argument '{waits[1]}' has no default, and only a launch is given one; write the value into "
+            "a parameter file"
+        )
+
+
+def substituted(value: Any, values: Mapping[str, Any], path: Path) -> Any:
+    """What a file says with the values of its arguments in it. Raises `GraphError` for an argument that it has not."""
+    if isinstance(value, dict):
+        return {key: substituted(inner, values, path) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [substituted(inner, values, path) for inner in value]
+    if not isinstance(value, str):
+        return value
+    whole = VARIABLE.fullmatch(value)
+    if whole:
+        return _value_of(whole, values, path)
+    return VARIABLE.sub(lambda match: str(_value_of(match, values, path)), value)
+
+
+def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path) -> Any:
+    if match[1] not in values:
+        raise GraphError(f"{path}: $(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
+    return values[match[1]]
