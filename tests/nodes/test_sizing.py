@@ -56,8 +56,8 @@ def test_one_set_tells_nothing() -> None:
     assert median_ms([frames(0)], WindowModel(MODEL), Forecaster(GRID, ForecastParameters(), None)) is None
 
 
-def trial(said: list[str], budget_ms: float = 60) -> Trial:
-    return Trial(MODEL, ForecastParameters(), None, GRID, budget_ms, said.append)
+def trial(said: list[str], budget_ms: float = 60, kept: Path | None = None) -> Trial:
+    return Trial(MODEL, ForecastParameters(), None, GRID, budget_ms, said.append, kept=kept)
 
 
 def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> None:
@@ -111,6 +111,33 @@ def test_a_trial_ends_when_its_twin_is_to_end(monkeypatch: pytest.MonkeyPatch) -
     assert [one.take(frames(index)) for index in range(TRIED_SETS)] == [None] * TRIED_SETS
     assert followed == [0, 1, 2]
     assert not said
+
+
+def test_a_twin_that_takes_the_place_of_another_goes_on_with_its_size_at_once(tmp_path: Path) -> None:
+    """Five seconds passed until the arm heard of people again, of which the trial took three."""
+    said: list[str] = []
+    one = trial([], 1e6, tmp_path)
+    for index in range(TRIED_SETS):
+        one.take(frames(index))
+    found = trial(said, 1e-6, tmp_path).take(frames(0))
+    assert found is not None
+    assert found.model.parameters == SIZES["small"].model(MODEL)
+    assert found.narrower.narrowed(frames(20)).views[0].camera.width == SIZES["small"].width
+    assert said == ["size small, as it was found before"]
+
+
+@pytest.mark.parametrize("left", [b"", b"sma", b"\xff\xfe", None])
+def test_a_size_that_was_not_left_whole_is_found_anew(left: bytes | None, tmp_path: Path) -> None:
+    if left is None:
+        (tmp_path / sizing.FILE).mkdir()
+    else:
+        (tmp_path / sizing.FILE).write_bytes(left)
+    said: list[str] = []
+    one = trial(said, 1e6, tmp_path)
+    for index in range(TRIED_SETS):
+        one.take(frames(index))
+    assert [line[:11] for line in said] == ["size small:"]
+    assert left is None or (tmp_path / sizing.FILE).read_text() == "small"
 
 
 @pytest.mark.parametrize(("width", "tried"), [(48, ["tiny"]), (100, ["tiny", "small"])])

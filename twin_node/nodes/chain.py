@@ -44,8 +44,8 @@ class Chain:
     ) -> None:
         """`workspace` [2, 3] m; `following`: see `ModelNode`; `dropped()`: frame sets dropped so far, for the status.
 
-        `kept`: see `DriftNode`; `is_ending`: see `Trial`. Where the size is to be measured it is if there is a user to
-        `say` it to; else the parameters stand as they are.
+        `kept`: see `DriftNode` and `Trial`; `is_ending`: see `Trial`. Where the size is to be measured it is if there
+        is a user to `say` it to; else the parameters stand as they are.
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
         self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
@@ -53,7 +53,7 @@ class Chain:
         trial = None
         if say is not None and parameters.size.name is SizeChoice.AUTO:
             arm, budget_ms = parameters.arm.arm(), parameters.size.budget_ms
-            trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say, is_ending)
+            trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say, is_ending, kept)
         if following is Following.APART and not parameters.model.own_process:
             following = Following.IN_TIME
         self.model_node = ModelNode(bus, clock, make_model(parameters), following, trial)

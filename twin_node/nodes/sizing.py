@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +29,8 @@ AT_REST = 1.9
 35 for 18 and 39 for 20 ms from `tiny` to `large`."""
 AT_WORK = 0.05
 """Share of the pixels that move by then; of somebody who reaches in it is 6 %."""
+FILE = "size"
+"""Where a launch's size stands, in the folder of what is kept."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,8 @@ class Trial:
     """Times the sizes on the first sets that a live twin gets, for a few seconds, and says in one line what it took.
 
     Counted is the processor time of its thread, what a set takes where nobody else wants the processor, and what it
-    would be with people at work: sets of a cell in which nothing moves yet cost half.
+    would be with people at work: sets of a cell in which nothing moves yet cost half. A twin that takes the place of
+    another goes on with the size that one found, at once: its arm waits.
     """
 
     def __init__(
@@ -107,10 +112,12 @@ class Trial:
         budget_ms: float,
         say: Callable[[str], None],
         is_ending: Callable[[], bool] = lambda: False,
+        kept: Path | None = None,
     ) -> None:
         """`model`: what a size does not say; `say(line)` tells the user.
 
-        `is_ending()`: whether the twin is to end, and nobody wants to know any more.
+        `is_ending()`: whether the twin is to end, and nobody wants to know any more. `kept`: folder in which the size
+        is left to the one that takes this twin's place; None: in none.
         """
         self._model = model
         self._forecast = forecast
@@ -119,6 +126,7 @@ class Trial:
         self._budget_ms = budget_ms
         self._say = say
         self._is_ending = is_ending
+        self._file = None if kept is None else kept / FILE
         self._sets: list[FrameSet] = []
         self._tried: dict[str, Sized] = {}
 
@@ -127,6 +135,10 @@ class Trial:
 
         Sizes of wider images are not tried: they would see no more.
         """
+        known = None if self._sets else self._left_behind()
+        if known is not None:
+            self._say(f"size {known}, as it was found before")
+            return self._sized(known)
         self._sets.append(frames)
         if len(self._sets) < TRIED_SETS:
             return None
@@ -136,14 +148,27 @@ class Trial:
         if self._is_ending():
             return None  # what it found is of a few sets, or none
         self._say(choice.reason)
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # a full disk must not end the twin too; the next one tries again
+                self._file.write_text(choice.size, encoding="ascii")
         return self._tried[choice.size]
 
     def _timed_ms(self, name: str) -> float:
-        size = SIZES[name]
-        one = self._tried[name] = Sized(WindowModel(size.model(self._model), arm=self._arm), Narrower(size.width))
+        one = self._tried[name] = self._sized(name)
         forecaster = Forecaster(self._grid, self._forecast, self._arm)
         sets = takewhile(lambda _: not self._is_ending(), self._sets)
         narrowed = (one.narrower.narrowed(frames) for frames in sets)
         clock = time.thread_time  # others may start up meanwhile
         spent = median_ms(narrowed, one.model, forecaster, clock, while_people_work)
         return math.inf if spent is None else spent
+
+    def _sized(self, name: str) -> Sized:
+        size = SIZES[name]
+        return Sized(WindowModel(size.model(self._model), arm=self._arm), Narrower(size.width))
+
+    def _left_behind(self) -> str | None:
+        """The size that a twin before this one found; None where none did."""
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            if self._file is not None and (name := self._file.read_text(encoding="ascii")) in SIZES:
+                return name
+        return None
