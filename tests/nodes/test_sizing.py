@@ -12,7 +12,9 @@ import pytest
 from twin_node.forecast import Forecaster, ForecastParameters, default_grid
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.nodes import sizing
+from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters, sized
+from twin_node.nodes.latency import Latency
 from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms, while_people_work
@@ -124,6 +126,19 @@ def test_a_twin_that_takes_the_place_of_another_goes_on_with_its_size_at_once(tm
     assert found.model.parameters == SIZES["small"].model(MODEL)
     assert found.narrower.narrowed(frames(20)).views[0].camera.width == SIZES["small"].width
     assert said == ["size small, as it was found before"]
+
+
+def test_a_chain_is_made_with_the_size_that_the_one_before_it_found(tmp_path: Path) -> None:
+    (tmp_path / sizing.FILE).write_text("tiny")
+    said: list[str] = []
+    chain = fill(ChainParameters, {"size": {"name": "auto"}, "model": {"seed": {"steps": 1}}}, "here")
+    bus, clock, volume = LocalBus(), SteppedClock(), np.array([[0.0, 0.0, 0.5], [0.4, 0.4, 0.9]])
+    node = Chain(bus, clock, volume, chain, Latency(0, False), say=said.append, kept=tmp_path).model_node
+    node.configure()
+    node.activate()
+    bus.publish(TRUSTED_FRAMES, frames(0))
+    assert said == ["size tiny, as it was found before"]
+    assert node.model.parameters == SIZES["tiny"].model(chain.model)
 
 
 @pytest.mark.parametrize("left", [b"", b"sma", b"\xff\xfe", None])
