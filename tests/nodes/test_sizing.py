@@ -19,10 +19,11 @@ from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SHIPPED, SIZES, SizeChoice, SizeParameters
 from twin_node.nodes.sizing import TRIED_SETS, Trial, best_within, median_ms, while_people_work
 from twin_node.nodes.topics import STATE, TRUSTED_FRAMES
+from twin_node.robot import ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.runtime.parameters import ParameterError, fill
-from twin_node.scene import Camera, FrameSet, TwinState, View
+from twin_node.scene import Camera, FrameSet, JointSample, TwinState, View
 
 GRID = default_grid(np.array([[0.0, 0.0, 0.5], [0.4, 0.4, 0.9]]), 0.1)
 MODEL = ModelParameters(seed=SeedParameters(steps=1))
@@ -72,6 +73,18 @@ def test_a_trial_measures_sizes_on_the_first_sets_and_says_what_it_took() -> Non
     assert found.narrower.narrowed(frames(20)).views[0].camera.width == SIZES["small"].width
     assert found.model.update(found.narrower.narrowed(frames(20))).stamp == 20, "it goes on from the trial's sets"
     assert len(said) == 1 and said[0].startswith("size small: ")
+
+
+def test_a_model_that_took_the_arm_for_ground_begins_anew_after_the_trial() -> None:
+    """A driver tells of its joints later than the cameras show it: where it had stood things moved for good."""
+    arm, q = ur_model("ur5e"), np.zeros(6)
+    told = JointSample(0, arm.joint_names, q, q)
+    for joints, goes_on in ((None, False), (told, True)):
+        one = Trial(MODEL, ForecastParameters(), arm, GRID, 1e6, lambda _: None)
+        *_, found = [one.take(replace(frames(index), joints=joints)) for index in range(TRIED_SETS)]
+        assert found is not None
+        assert found.model.parameters == SIZES["small"].model(MODEL)
+        assert (found.model.parameters_count > 0) is goes_on
 
 
 def test_what_others_take_of_the_processor_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:

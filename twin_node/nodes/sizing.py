@@ -151,6 +151,8 @@ class Trial:
         if self._file is not None:
             with contextlib.suppress(OSError):  # a full disk must not end the twin too; the next one tries again
                 self._file.write_text(choice.size, encoding="ascii")
+        if self._arm is not None and self._sets[0].joints is None:
+            return self._sized(choice.size)  # it took the arm for ground, and the arm has moved on since
         return self._tried[choice.size]
 
     def _timed_ms(self, name: str) -> float:
