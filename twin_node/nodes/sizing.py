@@ -89,7 +89,7 @@ def while_people_work(state: TwinState) -> float:
 
 @dataclass(frozen=True)
 class Sized:
-    """A model that has followed the sets of a trial, and what makes later sets as wide as it wants them."""
+    """A model that has followed the sets of a trial, or begins anew, and what makes sets as wide as it wants them."""
 
     model: WindowModel
     narrower: Narrower
