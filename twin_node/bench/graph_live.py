@@ -70,7 +70,9 @@ class Heard:
 
 def live(seconds: float, scenario: str = "demo") -> LiveFigures:
     """Launches the simulated cell, lets it settle, and listens for so long. Raises `BenchError` where it is silent."""
-    plan = read_launch_file("launch/sim_cell.yaml", [f"scenario:={scenario}", f"host:={free_loopback()}"])
+    plan = read_launch_file(
+        "launch/sim_cell.yaml", [f"scenario:={scenario}", f"model:={_MODEL}", f"host:={free_loopback()}"]
+    )
     heard = Heard()
     with running(plan) as run:
         run.listen(SEPARATION, heard.on_separation)

@@ -30,7 +30,10 @@ class Argument:
 
 def launch_section(path: Path) -> dict[str, Any]:
     """The section `launch` of a launch file. Raises `GraphError` where it is none."""
-    content = read_yaml(path, "a launch file (YAML)", GraphError)
+    return _section_in(read_yaml(path, "a launch file (YAML)", GraphError), path)
+
+
+def _section_in(content: Any, path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or LAUNCH not in content:
         raise GraphError(f"{path}: has no section '{LAUNCH}'; give a launch file, for example launch/replay.yaml")
     section = content[LAUNCH]
@@ -116,7 +119,7 @@ def parameters_alone(path: Path) -> dict[str, Mapping[str, Any]]:
     content = read_yaml(path, "a parameter file (YAML)", GraphError)
     if not isinstance(content, Mapping) or LAUNCH not in content:
         return sections
-    arguments = arguments_of(launch_section(path), path)
+    arguments = arguments_of(_section_in(content, path), path)
     required = {argument.name: f"$(var {argument.name})" for argument in arguments if argument.is_required}
     defaults = {argument.name: argument.default for argument in arguments}
     filled: dict[str, Mapping[str, Any]] = substituted(sections, defaults | required, path)
