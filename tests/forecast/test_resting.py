@@ -99,6 +99,30 @@ def test_voxels_of_a_layer_are_a_limb_where_they_touch_somebody_or_a_hand_fits_i
     assert found.tolist() == (np.sort(layer).tolist() if is_limb else [])
 
 
+@pytest.mark.parametrize("had_stood", [True, False])
+def test_a_layer_that_had_stood_before_somebody_passed_over_it_is_nobodys(had_stood: bool) -> None:
+    """By noise the surface of a table stands now in this layer of voxels and now in that."""
+    resting, nothing = Resting(FINE), np.zeros(0, np.int64)
+    table, layer, body = block((4, 4, 4), 4, 4, 1), block((4, 4, 5), 4, 4, 1), block((14, 4, 5), 2, 2, 2)
+    bare, whole = (Bits.of_indices(FINE.dims, voxels) for voxels in (table, np.concatenate([table, layer])))
+    resting.update(0, nothing, whole if had_stood else bare)
+    resting.update(STEP_NS, nothing, bare)
+    for seconds in range(0, 60, 5):  # for longer than it is remembered that something moved
+        resting.update(round((seconds + 1) * 1e9), np.concatenate([layer, body]), bare)
+        found = resting.update(round((seconds + 2) * 1e9), body, whole)
+        assert np.isin(layer, found).all() != had_stood, f"{seconds} s"
+
+
+def test_who_rests_where_a_crate_was_that_is_gone_is_somebody() -> None:
+    """But for the layer on the table, which may be its surface."""
+    resting, nothing = Resting(FINE), np.zeros(0, np.int64)
+    table, crate = block((4, 4, 4), 4, 4, 1), block((4, 4, 5), 4, 4, 4)
+    bare, laden = (Bits.of_indices(FINE.dims, voxels) for voxels in (table, np.concatenate([table, crate])))
+    for tick, (moving, stands) in enumerate([(nothing, laden), (nothing, bare), (crate, bare), (nothing, laden)]):
+        found = resting.update(tick * STEP_NS, moving, stands)
+    assert np.array_equal(found, np.setdiff1d(crate, block((4, 4, 5), 4, 4, 1)))
+
+
 def test_two_layers_of_a_rim_are_nobody_either() -> None:
     """Single voxels of the second one touch nothing that stood."""
     resting, nothing = Resting(FINE), np.zeros(0, np.int64)

@@ -114,6 +114,24 @@ def test_ground_that_a_thing_has_stood_on_from_the_start_is_free_soon(lack: Lack
     assert share(found, body(30)) < 0.1
 
 
+def test_the_rim_of_who_came_to_rest_is_not_learnt_as_ground() -> None:
+    """There colours of both blend, and what depth measures is the ground's. Trousers are as dark as its stripes."""
+    striped = np.full((HEIGHT, WIDTH, 3), 72.0)
+    striped[:, np.arange(WIDTH) // 3 % 2 == 1] = 104
+    clothed = np.full((HEIGHT, WIDTH, 3), 72.0)
+    clothed[: HEIGHT // 2] = (170, 120, 100)
+    mask, found = MovingMask(), np.ones((HEIGHT, WIDTH), np.bool_)
+    for tick, left in enumerate((*COME, *(15 * (COME[-1],)), *range(COME[-1], WIDTH, 4), *(3 * (WIDTH,)))):
+        rng, shape = np.random.default_rng(tick), body(left)
+        weight = np.maximum(cv2.blur(shape.astype(np.float32), (3, 3)), shape)[..., None]
+        image = striped + weight * (clothed - striped) + rng.normal(0, 1.5, striped.shape)
+        depth = (np.where(shape, BODY_M, GROUND_M) + rng.normal(0, 0.004, shape.shape)).astype(np.float32)
+        whole(depth, shape, rng)
+        view = View(CAMERA, tick * STEP_NS, np.clip(image, 0, 255).astype(np.uint8), depth)
+        found = mask.update(FrameSet(view.stamp, (view,)), [None])[0]
+    assert not found.any(), f"{found.sum()} pixels still move after they left"
+
+
 def test_what_passes_where_the_sun_blinds_the_camera_leaves_nothing_behind_once_it_is_blind() -> None:
     blinded = [False]
 

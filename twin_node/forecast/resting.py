@@ -32,6 +32,9 @@ class Resting:
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._memory = Memory.of_nothing(grid)
+        self._stood = Bits.none(grid.dims)
+        """What has stood while nothing had moved in it, as long as something stands there or next to it."""
+        self._standing: Bits | None = None
 
     def update(self, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
         """Flat indices [n] of voxels that stand at `stamp` (ns, rising), and did not when something moved in them.
@@ -39,14 +42,21 @@ class Resting:
         `moving` [m]: flat indices where something moves that may rest and start again; `standing`: what stands. A table
         that a hand passes over stood all along: it is none of these. Its edges, which at times are found to stand only
         after somebody passed them, are none either: a layer about what stood counts only where it may be a limb of
-        somebody near it, who moves or rests, and where it touches them or a hand fits in it. Specks that no hand fits
-        in, and that hang on nothing larger, are nobody.
+        somebody near it, who moves or rests, and where it touches them or a hand fits in it. Nor is what had stood
+        there before: noise, and pixels wider than voxels, now find the surface of a table and now do not. Specks that
+        no hand fits in, and that hang on nothing larger, are nobody.
         """
         found = rested(self._memory, stamp, moving, standing)
+        if standing is not self._standing:
+            self._standing = standing
+            self._stood = (self._stood | standing.without(self._memory.moved)) & standing.grown()
         if len(found) == 0:
             return found
         touches = standing.without(self._memory.moved).grown().holds(found)
         layer, bodies = found[touches], Bits.of_indices(self._grid.dims, found[~touches])
+        stood = self._stood.holds(layer)
+        self._memory.moved.remove(layer[stood])
+        layer = layer[~stood]
         somebody = self._without_specks(bodies | Bits.of_indices(self._grid.dims, moving))
         layer = layer[self._is_within_reach(layer, somebody)]
         limbs = layer[self._may_be_limb(layer, somebody)]

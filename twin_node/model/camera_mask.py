@@ -85,7 +85,7 @@ class CameraMask:
             told.telling & ~measured & ~most_around(is_known, free, TELLING)
         )  # of a thing, from what is not measured
         by_depth = measured | bared
-        settled &= mask & ~told.was_in_front & (by_depth | ~told.telling)
+        settled &= mask & ~told.rim & (by_depth | ~told.telling)
         among_ground = settled & ~self.trusted & like_ground & is_known
         among_ground &= most_around(seen & self.trusted & like_ground, np.ones_like(seen), GROUND_AROUND)
         uncovered = self._uncovered(image / gain, settled, free, among_ground, object_, by_depth, threshold)

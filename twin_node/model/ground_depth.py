@@ -21,6 +21,7 @@ LOST_NS = 300_000_000
 """What has not been measured for so long there is dark cloth or hair, not ground: by chance single images lack it."""
 SILENT_NS = 1_000_000_000
 """A camera none of whose images has had depth for so long measures none."""
+_AROUND = np.ones((3, 3), np.uint8)
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
 
@@ -30,8 +31,8 @@ class Told:
 
     in_front: Bool
     """A surface is measured in front of the ground."""
-    was_in_front: Bool
-    """One is, or was when something was measured last."""
+    rim: Bool
+    """One is, or was when something was measured last, there or at a pixel beside: colours of both may be mixed."""
     telling: Bool
     """Ground is measured there, and so what is not measured is not ground."""
     lost: Bool
@@ -78,7 +79,7 @@ class GroundDepth:
         telling = (self.telling >= TELLING) & (not self.is_silent(view))
         return Told(
             in_front=self.stands_before(view, seen),
-            was_in_front=self._before_ground(newest, seen),
+            rim=cv2.dilate(self._nearer(newest, seen).astype(np.uint8), _AROUND) > 0,
             telling=telling,
             lost=telling & (self.blind_ns > LOST_NS),
         )
@@ -120,8 +121,11 @@ class GroundDepth:
 
     def _before_ground(self, depth: Float32, seen: Bool) -> Bool:
         """[H, W] where a depth is clearly less than the ground's; single pixels are noise."""
-        near = seen & (depth > 0) & (self.known > 0) & is_before(depth, self.known)
-        return cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_OPEN, _CROSS) > 0
+        return cv2.morphologyEx(self._nearer(depth, seen).astype(np.uint8), cv2.MORPH_OPEN, _CROSS) > 0
+
+    def _nearer(self, depth: Float32, seen: Bool) -> Bool:
+        """[H, W] the same with single pixels."""
+        return np.asarray(seen & (depth > 0) & (self.known > 0) & is_before(depth, self.known))
 
 
 def is_before(depth: Float32, other: Float32) -> Bool:

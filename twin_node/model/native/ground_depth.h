@@ -12,6 +12,7 @@ namespace model {
 
 constexpr double kNearM = 0.01;
 static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
+static const Kernel kSquare = {{-1, 1}, {0, 1}, {1, 1}};  // and the eight around it
 
 // What is remembered of one camera's depth, and what the newest image tells of it.
 class GroundDepth {
@@ -42,22 +43,20 @@ class GroundDepth {
   Mask stands_before() const {
     const float *measured = r_.measured;
     if (measured == nullptr) return Mask(pixels_, 0);
-    return before_ground([measured](int64_t at) { return measured[at]; });
+    const Mask nearer = nearer_than_ground([measured](int64_t at) { return measured[at]; });
+    return dilated(eroded(nearer, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
   }
 
-  // The same, and where one did when something was measured last.
+  // The same, and where a surface does or did when something was measured last, there or at a pixel beside.
   void find_in_front() {
     const float *measured = r_.measured, *last = r_.measured_last;
     in_front_ = stands_before();
-    if (measured == nullptr) {
-      was_in_front_ = before_ground([last](int64_t at) { return last[at]; });
-    } else {
-      was_in_front_ = before_ground([=](int64_t at) { return measured[at] > 0 ? measured[at] : last[at]; });
-    }
+    const auto newest = [=](int64_t at) { return measured != nullptr && measured[at] > 0 ? measured[at] : last[at]; };
+    rim_ = dilated(nearer_than_ground(newest).data(), r_.width, r_.height, kSquare);
   }
 
   bool in_front(int64_t at) const { return in_front_[at]; }
-  bool was_in_front(int64_t at) const { return was_in_front_[at]; }
+  bool is_rim(int64_t at) const { return rim_[at]; }
   bool tells(int64_t at) const { return tells_[at]; }
   const uint8_t *lost() const { return lost_.data(); }
   bool is_known(int64_t at) const { return r_.depth[at] > 0; }
@@ -144,23 +143,23 @@ class GroundDepth {
   }
 
   template <class Depth>
-  Mask before_ground(const Depth &depth_at) const {
-    Mask standing(pixels_);
+  Mask nearer_than_ground(const Depth &depth_at) const {
+    Mask nearer(pixels_);
     const Before is_before = before();
     const float *__restrict__ ground = r_.depth;
     const uint8_t *__restrict__ seen = r_.seen;
-    uint8_t *__restrict__ out = standing.data();
+    uint8_t *__restrict__ out = nearer.data();
     for (int64_t at = 0, end = pixels_; at < end; at++) {
       const float depth = depth_at(at), behind = ground[at];
       out[at] = seen[at] & (depth > 0) & (behind > 0) & is_before(depth, behind);
     }
-    return dilated(eroded(standing, r_.width, r_.height, kCross).data(), r_.width, r_.height, kCross);
+    return nearer;
   }
 
   const MaskRequest &r_;
   const MaskRules &p_;
   const int64_t pixels_;
-  Mask in_front_, was_in_front_;
+  Mask in_front_, rim_;
   Mask tells_, lost_;  // where ground is measured, and of these where nothing has been for long
 };
 

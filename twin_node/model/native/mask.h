@@ -180,7 +180,6 @@ class MaskUpdate {
   // What moved stays, until it looks like ground and no depth is missing, and so do the pixels around it, but for those
   // that the arm hides: they tell of nothing. So does ground, never seen, that it encloses.
   void hold(Mask &mask) const {
-    static const Kernel square = {{-1, 1}, {0, 1}, {1, 1}};
     Mask ground(pixels_), hole(pixels_);
     const uint8_t *__restrict__ trusted = r_.trusted, *__restrict__ held = r_.mask, *__restrict__ seen = r_.seen;
     const uint8_t *__restrict__ confirmed = r_.confirmed, *__restrict__ lost = depth_.lost();
@@ -193,7 +192,7 @@ class MaskUpdate {
     over(ground, [=](uint8_t, int64_t at) {
       return (trusted[at] & (apart[at] < likeness) & (lost[at] ^ 1)) | (seen[at] ^ 1);
     });
-    ground = eroded(ground, r_.width, r_.height, square);
+    ground = eroded(ground, r_.width, r_.height, kSquare);
     over(mask, [=, other = ground.data()](uint8_t is, int64_t at) { return is | (held[at] & (other[at] ^ 1)); });
     const Mask outline = closed(mask, r_.width, r_.height, closing_);
     const Mask whole = filled(outline, r_.width, r_.height);
@@ -315,7 +314,7 @@ class MaskUpdate {
     for (int64_t at = 0, end = pixels_; at < end; at++) is_known[at] = seen[at] & (now[at] ^ 1);
     const Mask free = known;
     for (int64_t at = 0; at < pixels_; at++) {
-      if (!settled_[at] || !mask[at] || depth_.was_in_front(at)) continue;
+      if (!settled_[at] || !mask[at] || depth_.is_rim(at)) continue;
       const bool measured = depth_.is_measured(at), bares = depth_.tells(at) && !measured && !is_amid_known_depth(at, free);
       bared_[at] = bares;
       by_depth_[at] = measured || bares;
