@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twin_node.bench import graph_live
 from twin_node.bench.errors import BenchError
 from twin_node.bench.graph_live import Heard, begins, figures_of
 from twin_node.cell import Scenario, SimulatedRig, load_scenario
+from twin_node.cli import main
+from twin_node.nodes.launch.launch_file import LaunchPlan
 from twin_node.scene import JointSample
 
 FIRST_NS = 1_700_000_000_123_456_789
@@ -37,6 +40,29 @@ def heard(scenario: Scenario, is_still: bool = False, ahead_ns: int = 0) -> Hear
             there = arm.sample(scenario.start_ns + (0 if is_still else after + ahead_ns))
             found.joints.append(JointSample(begun + after, there.names, there.positions, there.velocities))
     return found
+
+
+@pytest.mark.parametrize("size", ["auto", "tiny"])
+def test_a_launch_is_measured_with_the_size_that_is_asked_for(monkeypatch: pytest.MonkeyPatch, size: str) -> None:
+    class Launched(Exception):
+        """Instead of the launch."""
+
+    def launch(plan: LaunchPlan) -> None:
+        raise Launched(plan.sections["size"]["name"], plan.sections["ur_driver"]["model"])
+
+    monkeypatch.setattr(graph_live, "running", launch)
+    with pytest.raises(Launched) as launched:
+        graph_live.live(1.0, size=size)
+    assert launched.value.args == (size, "ur5e")
+
+
+def test_a_size_that_there_is_none_of_is_refused_before_anything_is_measured(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["bench", "graph", "--only", "live", "--size", "huge"]) == 2
+    assert (
+        "--size: expected one of given, auto, tiny, small, medium, large, full, found 'huge'" in capsys.readouterr().err
+    )
 
 
 def test_images_tell_when_each_run_began(demo: Scenario) -> None:

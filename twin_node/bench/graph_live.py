@@ -16,6 +16,7 @@ from twin_node.cell.shadow import Shadow
 from twin_node.cell.ur_sim import free_loopback
 from twin_node.messages import Message, convert
 from twin_node.nodes.launch.launch_file import read_launch_file
+from twin_node.nodes.sizes import SizeChoice
 from twin_node.nodes.topics import JOINT_STATES, SEPARATION
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Float64, JointSample
@@ -68,11 +69,14 @@ class Heard:
         self.joints.append(convert.joint_sample_from_message(message))
 
 
-def live(seconds: float, scenario: str = "demo") -> LiveFigures:
-    """Launches the simulated cell, lets it settle, and listens for so long. Raises `BenchError` where it is silent."""
-    plan = read_launch_file(
-        "launch/sim_cell.yaml", [f"scenario:={scenario}", f"model:={_MODEL}", f"host:={free_loopback()}"]
-    )
+def live(seconds: float, scenario: str = "demo", size: str = SizeChoice.AUTO.value) -> LiveFigures:
+    """Launches the simulated cell, lets it settle, and listens for so long.
+
+    `size`: of the model, a `SizeChoice`. Raises `BenchError` for another, and where the launch is silent.
+    """
+    check_size(size)
+    arguments = [f"scenario:={scenario}", f"model:={_MODEL}", f"host:={free_loopback()}"]
+    plan = read_launch_file("launch/sim_cell.yaml", arguments, [f"size.name:={size}"])
     heard = Heard()
     with running(plan) as run:
         run.listen(SEPARATION, heard.on_separation)
@@ -84,6 +88,13 @@ def live(seconds: float, scenario: str = "demo") -> LiveFigures:
         heard.joints.clear()
         run.spin(seconds)
     return figures_of(heard, load_scenario(scenario))
+
+
+def check_size(size: str) -> None:
+    """Raises `BenchError` for what no launch takes for the size of a model."""
+    known = [choice.value for choice in SizeChoice]
+    if size not in known:
+        raise BenchError(f"--size: expected one of {', '.join(known)}, found '{size}'")
 
 
 def figures_of(heard: Heard, scenario: Scenario) -> LiveFigures:

@@ -48,6 +48,9 @@ def add_bench_graph(benches: Any) -> None:
     graph.add_argument(
         "--scenario", default="demo", metavar="SCENARIO", help="what `live` launches, a scenario of sim/ (default demo)"
     )
+    graph.add_argument(
+        "--size", default="auto", metavar="SIZE", help="of the model that `live` launches (default auto: it finds out)"
+    )
     graph.add_argument("--rounds", type=whole, default=2, metavar="N", help="runs of each kind (default 2)")
     graph.add_argument("--kills", type=whole, default=5, metavar="N", help="kills of each process (default 5)")
     graph.add_argument("--cuts", type=whole, default=3, metavar="N", help="cuts of the link (default 3)")
@@ -61,7 +64,8 @@ def _graph(options: argparse.Namespace) -> int:
     from twin_node.cell import load_scenario
     from twin_node.errors import TwinError
 
-    load_scenario(options.scenario)  # a wrong one is told before anything is measured
+    load_scenario(options.scenario)  # what is wrong is told before anything is measured
+    graph_live.check_size(options.size)
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="twin_node_") as name:
         folder = Path(name)
@@ -74,7 +78,7 @@ def _graph(options: argparse.Namespace) -> int:
             "killed": lambda: graph_recorder.killed(KILLED_RECORDERS, folder),
             "network": lambda: graph_network.network(cuts=options.cuts),
             "cameras": lambda: graph_cameras.cameras(CAMERA_FAULT_S),
-            "live": lambda: graph_live.live(options.live_seconds, options.scenario),
+            "live": lambda: graph_live.live(options.live_seconds, options.scenario, options.size),
         }
         for part in dict.fromkeys(options.only):
             try:

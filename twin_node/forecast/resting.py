@@ -34,7 +34,6 @@ class Resting:
         self._memory = Memory.of_nothing(grid)
         self._stood = Bits.none(grid.dims)
         """What has stood while nothing had moved in it, as long as something stands there or next to it."""
-        self._standing: Bits | None = None
 
     def update(self, stamp: int, moving: NDArray[np.int64], standing: Bits) -> NDArray[np.int64]:
         """Flat indices [n] of voxels that stand at `stamp` (ns, rising), and did not when something moved in them.
@@ -47,12 +46,11 @@ class Resting:
         no hand fits in, and that hang on nothing larger, are nobody.
         """
         found = rested(self._memory, stamp, moving, standing)
-        if standing is not self._standing:
-            self._standing = standing
-            self._stood = (self._stood | standing.without(self._memory.moved)) & standing.grown()
+        alone = standing.without(self._memory.moved)
+        self._stood = (self._stood | alone) & standing.grown()
         if len(found) == 0:
             return found
-        touches = standing.without(self._memory.moved).grown().holds(found)
+        touches = alone.grown().holds(found)
         layer, bodies = found[touches], Bits.of_indices(self._grid.dims, found[~touches])
         stood = self._stood.holds(layer)
         self._memory.moved.remove(layer[stood])
