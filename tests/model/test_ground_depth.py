@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from twin_node.model.ground_depth import LOST_NS, SILENT_NS, GroundDepth
 from twin_node.model.moving_mask import MovingMask
 from twin_node.scene import Bool, Camera, Float32, FrameSet, UInt8, View
 
@@ -168,3 +169,70 @@ def test_ground_that_is_not_measured_is_free_once_a_measured_thing_has_left_it()
     for left in (*(10 * (30,)), *range(30, WIDTH, 4), *(10 * (WIDTH,))):
         found = scene.show(left)
     assert share(found, body(30)) < 0.1
+
+
+ALL, NONE = np.ones((HEIGHT, WIDTH), np.bool_), np.zeros((HEIGHT, WIDTH), np.bool_)
+SPOT = (slice(10, 20), slice(30, 40))
+ALL_OF_IT = np.ones((HEIGHT, WIDTH), np.float32)
+
+
+def measured(stamp: int, spot_m: float | None = GROUND_M) -> View:
+    """The ground, and something else on one spot; None: no depth at all."""
+    if spot_m is None:
+        return View(CAMERA, stamp, ground(), None)
+    depth = np.full((HEIGHT, WIDTH), GROUND_M, np.float32)
+    depth[SPOT] = spot_m
+    return View(CAMERA, stamp, ground(), depth)
+
+
+def watched(*spots_m: float) -> GroundDepth:
+    """What is known after images of a spot, all of which may be ground at once."""
+    known = GroundDepth(measured(0, spots_m[0]))
+    for tick, spot_m in enumerate(spots_m):
+        known.learn(measured(tick * STEP_NS, spot_m), 0 * ALL_OF_IT, NONE)
+    return known
+
+
+@pytest.mark.parametrize(
+    ("before_m", "now_m", "has_come"),
+    [(GROUND_M, BODY_M, True), (0, BODY_M, True), (BODY_M, 0, True), (BODY_M, BODY_M, False), (BODY_M, 1.52, False)],
+)
+def test_what_stands_in_front_has_come_unless_it_was_measured_there_before(
+    before_m: float, now_m: float, has_come: bool
+) -> None:
+    in_front = NONE.copy()
+    in_front[SPOT] = True
+    come = watched(GROUND_M, before_m).come(measured(2 * STEP_NS, now_m), in_front)
+    assert (come[SPOT] == has_come).all()
+    assert not come[~in_front].any()
+
+
+def test_ground_is_bared_by_what_is_measured_behind_it_twice_in_a_row() -> None:
+    """Once is an outlier."""
+    halfway = (BODY_M + GROUND_M) / 2
+    assert (watched(BODY_M, BODY_M, GROUND_M).known[SPOT] < halfway).all()
+    assert (watched(BODY_M, BODY_M, GROUND_M, BODY_M, GROUND_M).known[SPOT] < halfway).all()
+    assert (watched(BODY_M, BODY_M, GROUND_M, GROUND_M).known[SPOT] == GROUND_M).all()
+
+
+def test_ground_that_is_measured_a_little_deeper_is_learnt_slowly() -> None:
+    deeper_m = BODY_M * 1.02
+    assert (watched(BODY_M, BODY_M, deeper_m, deeper_m).known[SPOT] < (BODY_M + deeper_m) / 2).all()
+
+
+def test_measured_ground_is_lost_only_after_a_while_and_not_where_the_camera_sends_no_depth_any_more() -> None:
+    known = watched(GROUND_M)
+    known.meet(measured(0), ALL)
+    found = {}
+    for stamp in range(STEP_NS, 2 * SILENT_NS, STEP_NS):
+        found[stamp] = known.look(measured(stamp, 0), STEP_NS, ALL, NONE).lost[SPOT]
+    assert not any(lost.any() for stamp, lost in found.items() if stamp <= LOST_NS)
+    assert all(lost.all() for stamp, lost in found.items() if stamp > LOST_NS)
+    last = 2 * SILENT_NS - STEP_NS
+    without = {
+        stamp: known.look(measured(stamp, None), STEP_NS, ALL, NONE)
+        for stamp in range(last + STEP_NS, last + 2 * SILENT_NS, STEP_NS)
+    }
+    for stamp, told in without.items():
+        assert told.telling.any() == (stamp <= last + SILENT_NS)
+        assert told.lost[SPOT].all() == (stamp <= last + SILENT_NS)
