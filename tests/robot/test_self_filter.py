@@ -57,6 +57,17 @@ def test_mask_holds_every_pixel_that_a_ray_says_and_few_more(
     assert not (mask & ~near_edge).any()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_wide_lens_near_the_arm_is_masked_out_to_its_corners(seed: int) -> None:
+    """There spheres are ellipses, half again as long as they are wide."""
+    rng = np.random.default_rng(seed)
+    turn, q = rng.uniform(0, 6.28), rng.uniform(-3, 3, 6)
+    position = np.array([1.3 * np.cos(turn), 1.3 * np.sin(turn), rng.uniform(0.2, 1.5)])
+    camera = camera_at(position, np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(-0.5, 1.0)]), focal=24.0)
+    expected, mask = cast(camera, q, 0.08), robot_mask(MODEL, q, camera, 0.08)
+    assert not (expected & ~mask).any()
+
+
 @pytest.mark.parametrize("seed", [2, 6, 7, 9, 11, 12])
 def test_a_camera_next_to_the_arm_is_masked_right_and_sees_past_it(seed: int) -> None:
     rng = np.random.default_rng(seed)
