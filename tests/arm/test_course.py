@@ -65,6 +65,15 @@ def test_an_arm_that_slides_to_a_stop_takes_as_long_from_a_slow_part_of_its_prog
     assert motion.course(0.0).braking_s == pytest.approx(0.4 * 0.04)
 
 
+def test_a_slide_that_was_told_before_outlasts_that_of_a_smaller_share() -> None:
+    """It begins as soon as the new share is heard, and may end after what that one begins with the next command."""
+    table = StoppingTable(np.array([3.0]), np.full((1, 6), 0.03), np.full((1, 6), 0.045))
+    for before, share in ((0.8, 0.3), (0.8, 0.1), (0.5, 0.4)):
+        course = ArmMotion(NOW, 0.1, TURNING, table, 0.0, Underway(0.02, before, slide_s=0.4)).course(share)
+        assert course.duration_s == pytest.approx(max(0.1 + share * 0.4, 0.02 + before * 0.4))
+        assert course.braking_s == pytest.approx(before**2 * 0.2)
+
+
 def test_what_is_told_an_arm_that_still_brakes_is_slid_from_as_well() -> None:
     """It was measured faster than anybody told it to be: of a new share it was held to stop by the table alone."""
     table = StoppingTable(np.array([3.0]), np.full((1, 6), 0.03), np.full((1, 6), 0.045))
@@ -92,6 +101,7 @@ def test_commands_are_underway_for_as_long_as_they_take() -> None:
 def test_a_clock_that_is_put_back_keeps_no_command_underway_for_ever() -> None:
     commands = Commands(0.1)
     commands.tell(0.9, NOW)
+    commands.tell(0.4, NOW + 10 * MS)
     commands.tell(0.2, NOW - 3_600_000 * MS)
     assert commands.underway(NOW - 3_600_000 * MS + 99 * MS).share == 0.9
     assert commands.underway(NOW - 3_600_000 * MS + 100 * MS).share == 0.2

@@ -96,6 +96,37 @@ def test_a_program_that_slows_down_is_as_slow_but_an_arm_that_lags_at_a_crawl_is
     np.testing.assert_allclose(seen, way)
 
 
+@pytest.mark.parametrize(
+    ("share", "ratio", "is_slow"), [(0.04, 0.4, False), (0.04, 0.6, True), (0.08, 0.4, True), (0.08, 0.1, True)]
+)
+def test_what_is_less_than_half_as_fast_at_a_crawl_may_merely_lag(share: float, ratio: float, is_slow: bool) -> None:
+    arm = ProgrammedVelocity(0.005, np.full(6, 3.14))
+    for package in range(100):
+        arm.seen(THERE, 1.0, NOW + package * PACKAGE_NS)
+    arm.seen(np.zeros(6), 0.0, NOW + 100 * PACKAGE_NS)
+    seen = arm.seen(ratio * share * THERE, share, NOW + 200 * PACKAGE_NS)
+    np.testing.assert_allclose(seen, (ratio if is_slow else 1.0) * THERE)
+
+
+@pytest.mark.parametrize(("speed", "seconds", "is_led"), [(0.07, 1.6, True), (0.04, 1.6, False), (0.07, 1.4, False)])
+def test_an_arm_that_still_moves_once_any_would_stand_is_led_by_hand(
+    speed: float, seconds: float, is_led: bool
+) -> None:
+    arm = Arm()
+    arm.run(100, 1.0, THERE)
+    arm.run(1, 0.0, THERE)
+    seen = arm.programmed.seen(-speed * THERE, 0.0, arm.now + round(seconds * 1e9))
+    np.testing.assert_allclose(seen, -speed * THERE if is_led else THERE)
+
+
+@pytest.mark.parametrize(("speed", "begins"), [(0.03, True), (0.015, False)])
+def test_an_arm_of_which_nothing_is_known_begins_where_it_is_faster_than_noise(speed: float, begins: bool) -> None:
+    programmed = Arm().programmed
+    seen = programmed.seen(speed * THERE, 0.02, NOW)
+    assert programmed.is_known == begins
+    np.testing.assert_allclose(seen, (speed / 0.02 if begins else speed) * THERE)
+
+
 @pytest.mark.parametrize("back_ns", [500_000_000, MINUTE_NS])
 def test_a_clock_that_is_put_back_does_not_freeze_what_is_known_of_the_program(back_ns: int) -> None:
     """Until it had caught up an arm that went the other way was judged by where it had gone before."""

@@ -41,14 +41,14 @@ class Commands:
         """When, and what: the last of which the arm has surely heard, then those underway."""
 
     def tell(self, share: float, now: int) -> None:
-        """The arm is told a share (0 to 1); a clock that was put back leaves nothing underway but what came before.
+        """The arm is told a share (0 to 1); by a clock that was put back all that came before is underway once more.
 
         Raises `ArmError` for a share that is none: what was told before goes on.
         """
         if not SHARE.holds(share):
             raise ArmError(f"commands: expected a share from {SHARE}, found {share:g}; divide percentages by 100")
         if now < self._told[-1][0]:
-            self._told = deque([(now, self._told[-1][1])])
+            self._told = deque((now, before) for _, before in self._told)
         self._told.append((now, share))
         self._forget(now)
 
