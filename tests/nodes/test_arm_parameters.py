@@ -45,8 +45,11 @@ def test_the_arm_that_is_judged_is_the_one_that_is_driven() -> None:
         made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "ur3e"})
     with pytest.raises(TwinError, match=r"expected the arm that is driven, my_ur5\.xml, found ur10e"):
         made({}, {"robot": "192.168.1.10", "model": "my_ur5.xml"})  # of the CB3 series, as its driver asked
+    with pytest.raises(TwinError, match="expected the arm that is driven, ur10e, found airo:ur5e"):
+        made({"model": "airo:ur5e"}, {"robot": "192.168.1.10", "model": "ur10e"})
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10"}) is not None
     assert made({"model": "ur5e"}, {"robot": "192.168.1.10", "model": "airo:ur5e"}) is not None
+    assert made({"model": "airo:ur5e"}, {"robot": "192.168.1.10"}) is not None
     assert made({"model": "sim/ur5e.xml"}, {"robot": "192.168.1.10"}) is not None  # with a gripper, perhaps
     assert made({"model": "ur10e"}, {"robot": ""}) is not None  # none is driven
 

@@ -123,6 +123,13 @@ def test_another_type_of_arm_is_refused(other: StandInProcess) -> None:
     shift.close()
 
 
+def test_an_arm_of_airo_models_is_the_type_that_it_is_named_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link, "_check_reachable", lambda _: None)
+    monkeypatch.setattr(link, "ask_dashboard", lambda _, order: "UR10")
+    with pytest.raises(ArmError, match="expected a airo:ur5e, the controller says it has a UR10"):
+        link.RtdeLink(UrParameters(model="airo:ur5e"))
+
+
 @pytest.mark.parametrize(
     ("software", "model", "refusal"),
     [

@@ -17,6 +17,7 @@ from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
 from twin_node.robot import UR_NAMES
+from twin_node.robot.arms import AIRO
 from twin_node.scene import Float64
 
 _VARIABLES = (
@@ -233,10 +234,11 @@ def _check_reachable(robot: str) -> None:
 
 def _check_model(robot: str, model: str) -> None:
     """Raises `ArmError` where the controller says it has another type of arm; not every controller says."""
-    if model not in UR_NAMES:
+    name = model.removeprefix(AIRO)
+    if name not in UR_NAMES:
         return
     told = ask_dashboard(robot, "get robot model") or ""
-    if re.fullmatch(r"UR\d+", told) and told != model.rstrip("e").upper():
+    if re.fullmatch(r"UR\d+", told) and told != name.rstrip("e").upper():
         raise ArmError(f"{robot}: expected a {model}, the controller says it has a {told}; choose that model")
     series = re.search(r"URSoftware ([123])\.", ask_dashboard(robot, "PolyscopeVersion") or "")
     if series:
