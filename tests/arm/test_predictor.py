@@ -127,6 +127,20 @@ def test_two_arms_under_the_same_names_are_neither(gap_ms: int) -> None:
     np.testing.assert_allclose(pose_at(found, 520), READY)
 
 
+def test_joints_that_one_message_names_twice_are_two_arms() -> None:
+    """The arm that was named first was judged, and the other one driven."""
+    twice = JointSample(NOW, 2 * MODEL.joint_names, np.concatenate([READY, READY + TURNING]), np.zeros(12))
+    both = np.concatenate([READY, READY + TURNING])[None]
+    found = ArmPredictor(MODEL, unwanted, 0.4)
+    with pytest.raises(ArmError, match=r"each of the arm's once, found shoulder_pan_joint, .* more often"):
+        found.take_joints(twice)
+    with pytest.raises(ArmError, match="expected each of the arm's once"):
+        found.take_path(JointPath(2 * MODEL.joint_names, np.array([NOW]), both))
+    gripper = ("finger_joint", "finger_joint")
+    found.take_joints(JointSample(NOW, (*MODEL.joint_names, *gripper), np.append(READY, [0.0, 0.1]), np.zeros(8)))
+    np.testing.assert_allclose(pose_at(found, 0), READY)
+
+
 def test_an_arm_at_its_fastest_does_not_jump() -> None:
     """Nor one of which a message in four comes, or that is stamped late."""
     found = predictor(planned(velocity=0 * TURNING))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -97,7 +97,8 @@ class ArmPredictor:
         return self._jump_rad if is_lately else None
 
     def take_path(self, path: JointPath) -> None:
-        """A new path; raises `RobotError` where a joint is missing or an angle is not finite."""
+        """A new path; raises `RobotError` or `ArmError` as `take_joints` does, and for an angle that is not finite."""
+        self._refuse_two(path.names)
         positions = self._model.order(path.names, path.positions)
         self._path = JointPath(self._model.joint_names, path.stamps, positions)
         self._is_held = False
@@ -115,13 +116,14 @@ class ArmPredictor:
         So they are for as long as all that ever came were 0, which is what many put there who measure none.
         `share`: of its speed, that the arm has been told to keep to. What others than the arm (a gripper, an axis) say
         on the same topic is left out, and so is what comes after newer joints. Raises `RobotError` where a joint is
-        missing, and `ArmError` for a share that is none.
+        missing, and `ArmError` for a share that is none and for joints that are named twice: they are two arms'.
         """
         if not SHARE.holds(share):
             raise ArmError(f"share: expected {SHARE}, as the arm was told, found {share:g}; divide percentages by 100")
         if not set(sample.names) & set(self._model.joint_names):
             self._other = sample
             return
+        self._refuse_two(sample.names)
         before = self._joints
         positions = self._model.order(sample.names, sample.positions)
         velocities = self._model.order(sample.names, sample.velocities)
@@ -174,6 +176,15 @@ class ArmPredictor:
             return self._made_up().ahead(stamp)
         state = "has not begun" if path.stamps[0] > now and not self._is_held else "is over"
         raise ArmError(f"the arm's trajectory {state}, and no joints come")
+
+    def _refuse_two(self, names: Sequence[str]) -> None:
+        """Raises `ArmError` where joints of the arm are named twice: of two arms nobody knows which is this one."""
+        twice = [name for name in self._model.joint_names if names.count(name) > 1]
+        if twice:
+            raise ArmError(
+                f"joints: expected each of the arm's once, found {', '.join(twice)} more often; where two arms tell of "
+                "themselves in one message, give their joints' names a prefix each"
+            )
 
     def _made_up(self) -> CyclicPath:
         """The cycle of an arm of which nobody has told; raises `ArmError` where it has none, having tried only once."""
