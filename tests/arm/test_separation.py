@@ -23,6 +23,7 @@ from twin_node.arm import (
 from twin_node.arm.course import ArmMotion
 from twin_node.arm.separation import Encounter, Proof, hazards
 from twin_node.arm.ur import servo_stopping
+from twin_node.geometry import quat_from_rotation, rotation_from_quat
 from twin_node.robot import forward_kinematics
 from twin_node.robot.ur import JOINT_NAMES
 from twin_node.scene import JointPath, JointSample, ObstacleKind
@@ -44,6 +45,46 @@ def test_no_obstacle_that_is_left_out_as_too_far_would_have_slowed_the_arm(
         patch.setattr(ur5e_checker, "approaches", lambda q, reach: look(q, np.where(reach < 0, reach, 100.0)))
         among_all = decide(ur5e_checker, path, NOW, REACTION_S)
     assert among_near_ones.speed_fraction == among_all.speed_fraction
+
+
+@given(seed=st.integers(0, 10_000), speed=st.floats(-3.0, 3.0), yaw=st.floats(-3.0, 3.0))
+@settings(max_examples=60, deadline=None)
+def test_neither_the_order_of_obstacles_nor_where_all_is_turned_to_about_the_base_changes_the_speed(
+    ur5e_checker: ArmCollisionChecker, seed: int, speed: float, yaw: float
+) -> None:
+    """Nor the order of the joints: rows, columns, turns and signs are the same everywhere."""
+    generator = np.random.default_rng(seed)
+    things = random_obstacles(8, seed, spread=1.6)
+    kinds = generator.choice(np.array(ObstacleKind, np.uint8), 8)
+    seen = np.arange(8) < 4  # what moves, where it was seen
+    stamps = {"stamp": NOW - 50 * MS, "valid_to": np.where(seen, NOW - 50 * MS, things.valid_to)}
+    stamps["valid_from"] = np.where(seen, NOW - 50 * MS, things.valid_from)
+    things = replace(things, kinds=kinds, velocities=2 * generator.normal(size=(8, 3)), **stamps)
+    path = ahead(speed * np.array([1.0, 0.3, 0.0, 0.5, 0.0, 0.0]))
+    measured = JointSample(NOW, JOINT_NAMES, READY, 150 * (path.positions[1] - path.positions[0]))  # 1.5 times as fast
+    ur5e_checker.update(things)
+    told = decide(ur5e_checker, path, NOW, REACTION_S, joints=measured)
+
+    turn, pan = rotation_from_quat([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]), np.array([yaw, 0, 0, 0, 0, 0])
+    turned = replace(
+        things,
+        positions=things.positions @ turn.T,
+        velocities=things.velocities @ turn.T,
+        quats=quat_from_rotation(turn @ rotation_from_quat(things.quats)),
+    )
+    rows, joints = generator.permutation(8), generator.permutation(6)
+    names = tuple(JOINT_NAMES[joint] for joint in joints)
+    ur5e_checker.update(turned.only(rows))
+    again = decide(
+        ur5e_checker,
+        JointPath(names, path.stamps, (path.positions + pan)[:, joints]),
+        NOW,
+        REACTION_S,
+        joints=JointSample(NOW, names, (READY + pan)[joints], measured.velocities[joints]),
+    )
+    assert again.speed_fraction == pytest.approx(told.speed_fraction, abs=2e-3)
+    if told.distance > 0:  # depths of contacts are MuJoCo's
+        assert again.distance == pytest.approx(told.distance, abs=1e-6)
 
 
 @given(seed=st.integers(0, 10_000))
