@@ -94,6 +94,14 @@ def test_more_steps_can_be_asked_for(trained: Trainer, checkpoint: Path) -> None
     assert trainer.step == trained.step + 1
 
 
+def test_fewer_steps_than_were_taken_are_refused(trained: Trainer, checkpoint: Path) -> None:
+    """Nothing was learnt, and the checkpoint that was written said that it had been trained for so few."""
+    steps = trained.parameters.steps
+    assert load_checkpoint(checkpoint).resume(trained.recording, steps=steps).finished
+    with pytest.raises(ModelError, match=f"expected {steps} steps or more, .* found {steps - 1}; give more"):
+        load_checkpoint(checkpoint).resume(trained.recording, steps=steps - 1)
+
+
 def test_training_goes_on_where_the_device_is_that_is_named(trained: Trainer, checkpoint: Path, tmp_path: Path) -> None:
     """A checkpoint of a machine with a GPU, on one without."""
     path = tmp_path / "elsewhere.safetensors"

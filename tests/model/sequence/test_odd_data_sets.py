@@ -49,6 +49,29 @@ def test_an_angle_does_not_hide_what_else_is_told_of_the_lens(
     np.testing.assert_allclose(read_folder(folder, ReadOptions()).train[0].camera.K, expected)
 
 
+@pytest.mark.parametrize(("w", "h"), [(WIDTH, 2 * HEIGHT), (2 * WIDTH, HEIGHT), (HEIGHT, WIDTH)])
+def test_images_of_another_shape_than_their_camera_are_refused(copied: Copied, w: int, h: int) -> None:
+    """Stretched or cropped, nobody can tell which; they were learnt from as if stretched, and nobody was told."""
+    refusal = f"expected images of the shape {w}x{h} .* found {WIDTH}x{HEIGHT}"
+    folder = copied("dnerf")
+    rewrite(folder / "transforms_train.json", lambda content: content | {"w": w, "h": h})
+    with pytest.raises(ModelError, match=rf"transforms_train\.json: {refusal}"):
+        read_folder(folder, ReadOptions(width=WIDTH // 2))
+    folder = copied("neural_video")
+    rows = np.load(folder / "poses_bounds.npy")
+    rows[1, [4, 9]] = h, w
+    np.save(folder / "poses_bounds.npy", rows)
+    with pytest.raises(ModelError, match=rf"cam01\.mp4: {refusal}"):
+        read_folder(folder, ReadOptions(width=WIDTH // 2))
+
+
+def test_a_size_that_was_rounded_is_of_the_same_shape(copied: Copied) -> None:
+    folder = copied("dnerf")
+    size = {"w": 10 * WIDTH + 4, "h": 10 * HEIGHT - 4}
+    rewrite(folder / "transforms_train.json", lambda content: content | size)
+    assert read_folder(folder, ReadOptions()).train[0].camera.height == HEIGHT
+
+
 @pytest.mark.parametrize("kind", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
 def test_a_fisheye_without_coefficients_is_no_pinhole(copied: Copied, kind: dict[str, object]) -> None:
     folder = copied("dnerf")

@@ -181,7 +181,7 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("dnerf", _change("transforms_train.json", _without("camera_angle_x")), "camera_angle_x"),
     ("dnerf", _change("transforms_train.json", _in_frame(time="soon")), "'time' in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(time=10**400)), "'time' in frame 1"),
-    ("dnerf", _change("transforms_train.json", _in_frame(time=-1e300)), "'time' from -9e[+]09 to 9e[+]09 in frame 1"),
+    ("dnerf", _change("transforms_train.json", _in_frame(time=-1e300)), "'time' from -2e[+]09 to 2e[+]09 in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[[1, 2]])), "4 x 4"),
     ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[4 * [10**400]] * 4)), "4 x 4"),
     (

@@ -104,8 +104,8 @@ class Checkpoint:
     def resume(self, recording: Recording, steps: int | None = None, device: str | None = None) -> Trainer:
         """The trainer as it was when it was saved; with `steps` and on the `device` in place of the checkpoint's own.
 
-        Raises `ModelError` where the recording is not the one that was trained on, for a device that is not there, and
-        for a checkpoint that was edited: its images do not show what it does.
+        Raises `ModelError` where the recording is not the one that was trained on, for a device that is not there, for
+        fewer steps than were taken, and for a checkpoint that was edited: its images do not show what it does.
         """
         header = self.header
         if HOMES in self.tensors:
@@ -122,6 +122,12 @@ class Checkpoint:
         if steps is not None:
             share = parameters.coarse_steps / steps  # the static stage stays as long as it was
             parameters = dataclasses.replace(parameters, steps=steps, coarse_share=share)
+        if parameters.all_steps < header.step:
+            taken = header.step - parameters.coarse_steps
+            raise ModelError(
+                f"{self.path}: expected {taken} steps or more, for it has taken so many, found {steps}; give more, or "
+                "begin anew for fewer"
+            )
         if device is not None:
             parameters = dataclasses.replace(parameters, device=device)
         trainer = Trainer(recording, parameters, self.stored, self.box)

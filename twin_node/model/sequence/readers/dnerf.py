@@ -18,7 +18,14 @@ import numpy as np
 
 from twin_node.errors import reason
 from twin_node.model.parameters import ModelError
-from twin_node.model.sequence.readers.options import NO_PINHOLE, ReadOptions, load_image, scaled_intrinsics, shrunk
+from twin_node.model.sequence.readers.options import (
+    NO_PINHOLE,
+    ReadOptions,
+    load_image,
+    refuse_other_shape,
+    scaled_intrinsics,
+    shrunk,
+)
 from twin_node.model.sequence.recording import Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, UInt8, View
 
@@ -28,8 +35,8 @@ DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """What other tools call coefficients of a lens."""
 DURATION_NS = 1_000_000_000
 """What the times 0 to 1 are taken for."""
-LATEST = 9e9
-"""Of times: their stamps have 64 bits."""
+LATEST = 2e9
+"""Of times: the logs that models become tell seconds by 32 bits."""
 
 
 def recognises(folder: Path) -> bool:
@@ -143,6 +150,7 @@ def _intrinsics(root: dict[str, Any], shape: tuple[int, int], path: Path) -> Flo
     K = np.array([[fx, 0, given("cx", w / 2)], [0, given("fl_y", fy), given("cy", h / 2)], [0, 0, 1]])
     if min(fx, K[1, 1], w, h) <= 0:
         raise ModelError(f"{path}: expected fl_x, fl_y, w and h above 0, found {fx}, {K[1, 1]}, {w} and {h}")
+    refuse_other_shape(str(path), (w, h), shape)
     return scaled_intrinsics(K, (w, h), shape)
 
 

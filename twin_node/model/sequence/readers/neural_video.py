@@ -14,7 +14,7 @@ import numpy as np
 
 from twin_node.geometry import pose
 from twin_node.model.parameters import ModelError
-from twin_node.model.sequence.readers.options import ReadOptions, scaled_intrinsics, shrunk
+from twin_node.model.sequence.readers.options import ReadOptions, refuse_other_shape, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import Recording, in_order, split, that_fit
 from twin_node.scene import Camera, Float64, View
 
@@ -32,7 +32,7 @@ def read(folder: Path, options: ReadOptions) -> Recording:
     """Reads all videos of a scene.
 
     Raises `ModelError` for poses that are not [cameras, 17], that are as many as the videos are not, or that are no
-    poses, and for videos that cannot be decoded to their end.
+    poses, and for videos that cannot be decoded to their end or have another shape than the images of their pose.
     """
     videos = sorted(folder.glob("cam*.mp4"))
     rows = _load_poses(folder / POSES)
@@ -82,6 +82,9 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> Iterator[View
                 break
             rgb = shrunk(cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8), options.width)
             if camera is None:
+                refuse_other_shape(
+                    f"{path.parent / POSES}: {path.name}", (width, height), (image.shape[0], image.shape[1])
+                )
                 scaled = scaled_intrinsics(K, (width, height), (rgb.shape[0], rgb.shape[1]))
                 camera = Camera(path.stem, rgb.shape[1], rgb.shape[0], scaled, pose(rotation, matrix[:, 3]))
             yield View(camera, round(count * 1e9 / rate) if rate > 0 else 0, rgb)

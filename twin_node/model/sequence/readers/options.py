@@ -13,6 +13,8 @@ from twin_node.scene import Float64, UInt8
 
 NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
 """In the names of camera models that are no pinholes even where all of their coefficients are 0."""
+MOST_STRETCHED = 0.01
+"""By how much an image's sides may be stretched apart: rounding to whole pixels does so to small ones."""
 
 
 @dataclass(frozen=True)
@@ -56,3 +58,16 @@ def scaled_intrinsics(K: Float64, size: tuple[float, float], shape: tuple[int, i
     """Intrinsics [3, 3] for images of `size` (width, height) turned to `shape` (height, width); corner at 0, 0."""
     scaled: Float64 = np.diag([shape[1] / size[0], shape[0] / size[1], 1.0]) @ K
     return scaled
+
+
+def refuse_other_shape(source: str, size: tuple[float, float], shape: tuple[int, int]) -> None:
+    """Raises `ModelError` for images of a `shape` (height, width) that those of `size` (width, height) have not.
+
+    They are cropped, or turned, and which part of them is left, intrinsics do not tell. `source` says whose they are.
+    """
+    height = size[1] * shape[1] / size[0]
+    if abs(shape[0] - height) > max(1.0, MOST_STRETCHED * height):
+        raise ModelError(
+            f"{source}: expected images of the shape {size[0]:g}x{size[1]:g} that their camera is given for, found "
+            f"{shape[1]}x{shape[0]}; give intrinsics for the images as they are"
+        )
