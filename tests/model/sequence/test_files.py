@@ -151,18 +151,52 @@ def test_damaged_files_are_named(
 
 
 @pytest.mark.parametrize(
-    "name", ["gaussians.means", "gaussians.sh", "box.lower", "gradients.sums", "field.planes.time.0"]
+    "name",
+    [
+        *("gaussians.means", "gaussians.sh", "box.lower", "gradients.sums", "field.planes.time.0"),
+        *("adam.means.exp_avg_sq", "adam.colours.step", "field_adam.1.exp_avg", "field_adam.0.step"),
+    ],
 )
 def test_a_checkpoint_without_a_tensor_is_named(checkpoint: Path, tmp_path: Path, name: str) -> None:
     path = tmp_path / "file.safetensors"
     with safe_open(checkpoint, framework="pt") as file:
         metadata = file.metadata()
     tensors = load_file(checkpoint)
-    for wrong in (None, torch.zeros(2, 2, 2)):
+    for wrong in (None, torch.zeros(2, 2, 2), torch.full_like(tensors[name], torch.nan)):
         spoilt = {key: value for key, value in tensors.items() if key != name}
         save_file(spoilt if wrong is None else {**spoilt, name: wrong}, path, metadata)
         with pytest.raises(ModelError, match=rf"{path}: the checkpoint's tensors are not those of its header"):
             load_checkpoint(path)
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "sh"])
+def test_baked_buffers_that_do_not_belong_together_are_named(trained: Trainer, tmp_path: Path, name: str) -> None:
+    path = tmp_path / "file.safetensors"
+    stamps = [trained.recording.first, trained.recording.last]
+    save_baked(bake_model(trained.model, stamps, trained.recording.cameras), path)
+    assert load_baked(path).is_whole
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    whole = tensors[name]
+    for wrong in (whole[..., :-1], whole[:, :-1], whole.expand(3, *whole.shape[1:]) if len(whole) == 1 else whole[:0]):
+        save_file({**tensors, name: wrong.contiguous()}, path, metadata)
+        with pytest.raises(ModelError, match=rf"{path}: the buffers are not those of their header; bake again"):
+            load_baked(path)
+
+
+@pytest.mark.parametrize("change", [{"counts": [-1, 1]}, {"counts": [1]}, {"stamps": [2, 1]}, {"counts": [1, 10**9]}])
+def test_baked_headers_that_do_not_belong_to_their_buffers_are_named(
+    trained: Trainer, tmp_path: Path, change: dict[str, list[int]]
+) -> None:
+    path = tmp_path / "file.safetensors"
+    stamps = [trained.recording.first, trained.recording.last]
+    save_baked(bake_model(trained.model, stamps, trained.recording.cameras), path)
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["header"])
+    _resave(path, header=json.dumps(header | change))
+    with pytest.raises(ModelError, match=rf"{path}: the buffers are not those of their header; bake again"):
+        load_baked(path)
 
 
 def test_a_checkpoint_whose_field_spans_nothing_is_named(trained: Trainer, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,26 @@ class Baked:
     """Red, green, blue, 0 to 1, where nothing is."""
     cameras: tuple[Camera, ...]
     """Those that the model was made from."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has a step, and stamps, counts and buffers of the shapes that belong together."""
+        steps, rows = len(self.stamps), max(self.counts, default=0)
+        harmonics = self.sh.shape[2] if self.sh.ndim > 2 else 0
+        own = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh": (harmonics, 3)}
+        return (
+            0 < steps == len(self.counts)
+            and all(count >= 0 for count in self.counts)
+            and all(first < second for first, second in pairwise(self.stamps))
+            and math.isqrt(harmonics) ** 2 == harmonics > 0
+            and all(
+                buffer.ndim >= 2
+                and len(buffer) in (1, steps)
+                and buffer.shape[1] >= rows
+                and buffer.shape[2:] == own[name]
+                for name, buffer in self._buffers().items()
+            )
+        )
 
     @property
     def bytes(self) -> int:
@@ -243,9 +264,9 @@ def load_baked(path: Path) -> Baked:
         raise ModelError(f"{path}: expected buffers of twin_node bake, version {VERSION}, found {found}; bake it anew")
     try:
         header = json.loads(metadata["header"])
-        return Baked(
-            tuple(header["stamps"]),
-            tuple(header["counts"]),
+        baked = Baked(
+            tuple(int(stamp) for stamp in header["stamps"]),
+            tuple(int(count) for count in header["counts"]),
             file.tensors["means"],
             file.tensors["quats"],
             file.tensors["scales"],
@@ -256,3 +277,6 @@ def load_baked(path: Path) -> Baked:
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the header of the buffers is damaged ({error}); bake again") from None
+    if not baked.is_whole:
+        raise ModelError(f"{path}: the buffers are not those of their header; bake again")
+    return baked

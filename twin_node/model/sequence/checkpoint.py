@@ -75,20 +75,27 @@ class Checkpoint:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all tensors are there, and of the shapes that belong together."""
+        """Whether all tensors are there, of the shapes that belong together, and numbers."""
         count, harmonics = len(self.tensors.get("gaussians.means", ())), (self.header.parameters.degree + 1) ** 2
         own = {"means": (count, 3), "quats": (count, 4), "log_scales": (count, 3), "logits": (count,)}
         learnt = own | {"colours": (count, 1, 3), "harmonics": (count, harmonics - 1, 3)}
         needed = {f"gaussians.{name}": shape for name, shape in (own | {"sh": (count, harmonics, 3)}).items()}
         needed |= {"gradients.sums": (count,), "gradients.counts": (count,), "box.lower": (3,), "box.upper": (3,)}
-        moments = {f"adam.{name}.{moment}": shape for name, shape in learnt.items() for moment in MOMENTS}
-        needed |= {name: shape for name, shape in moments.items() if name in self.tensors}  # none before the first step
         needed |= {HOMES: (count, 3)} if HOMES in self.tensors else {}
         if any(name not in self.tensors or self.tensors[name].shape != shape for name, shape in needed.items()):
             return False
+        if any(bool(value.isnan().any()) for value in self.tensors.values()):
+            return False
         field = make_field(self.box, self.header.steps, self.header.parameters)
-        expected: Mapping[str, Tensor] = field.state_dict() if isinstance(field, nn.Module) else {}
-        return _shapes(expected) == _shapes(self._part("field."))
+        expected: Mapping[str, Tensor] = {}
+        of_field: list[nn.Parameter] = []
+        if isinstance(field, nn.Module):
+            expected, of_field = field.state_dict(), [*field.grids(), *field.decoder()]
+        return (
+            _shapes(expected) == _shapes(self._part("field."))
+            and _are_states(self._part("adam."), learnt)
+            and _are_states(self._part("field_adam."), {str(at): tuple(one.shape) for at, one in enumerate(of_field)})
+        )
 
     @property
     def stored(self) -> StoredGaussians:
@@ -249,6 +256,16 @@ def _some(names: Iterable[str]) -> str:
 
 def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, torch.Size]:
     return {name: value.shape for name, value in tensors.items()}
+
+
+def _are_states(tensors: Mapping[str, Tensor], of: Mapping[str, tuple[int, ...]]) -> bool:
+    """Whether tensors are Adam's states of what has these shapes: all of a state, or none before its first step."""
+    expected: dict[str, torch.Size] = {}
+    for name, shape in of.items():
+        if any(key.startswith(f"{name}.") for key in tensors):
+            expected |= {f"{name}.step": torch.Size([])}
+            expected |= {f"{name}.{moment}": torch.Size(shape) for moment in MOMENTS}
+    return _shapes(tensors) == expected
 
 
 def _load_field(field: nn.Module, tensors: Mapping[str, Tensor]) -> None:
