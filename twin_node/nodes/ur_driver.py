@@ -57,8 +57,8 @@ def is_other_arm(driven: str, judged: str) -> bool:
     """Whether an arm is judged (`model` of the arm's node) that is not the driven one (that of the driver).
 
     All UR arms name their joints alike: nothing else that comes tells. A file that is judged may be the driven arm with
-    a gripper; a file that is driven is no e-Series arm, or it had its name. One of
-    airo-models is the arm that it is named for.
+    a gripper; a file that is driven is no e-Series arm, or it had its name. One of airo-models is the arm that it is
+    named for.
     """
     judged = judged.removeprefix(AIRO)
     return judged in UR_NAMES and judged != driven.removeprefix(AIRO)
