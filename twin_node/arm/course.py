@@ -48,7 +48,8 @@ class Commands:
         if not SHARE.holds(share):
             raise ArmError(f"commands: expected a share from {SHARE}, found {share:g}; divide percentages by 100")
         if now < self._told[-1][0]:
-            self._told = deque((now, before) for _, before in self._told)
+            before = [told for _, told in self._told]
+            self._told = deque([(now, min(before)), (now, max(before))])
         self._told.append((now, share))
         self._forget(now)
 

@@ -14,8 +14,7 @@ from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, Superv
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert, header_stamp
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
-from twin_node.robot import UR_NAMES
-from twin_node.robot.arms import AIRO
+from twin_node.robot.arms import ur_name
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock, ahead_of_monotonic
 from twin_node.runtime.node import LifecycleState, Node
@@ -60,8 +59,8 @@ def is_other_arm(driven: str, judged: str) -> bool:
     a gripper; a file that is driven is no e-Series arm, or it had its name. One of airo-models is the arm that it is
     named for.
     """
-    judged = judged.removeprefix(AIRO)
-    return judged in UR_NAMES and judged != driven.removeprefix(AIRO)
+    name = ur_name(judged)
+    return name is not None and name != ur_name(driven)
 
 
 def without_numbers(line: str | None) -> str:

@@ -15,6 +15,12 @@ AIRO = "airo:"
 """Before the name of an arm of the package airo-models, whose capsules are fitted to detailed collision meshes."""
 
 
+def ur_name(model: str) -> str | None:
+    """The UR arm ("ur5e") that the name of a model stands for, as `arm_model` takes it; None: it is a file's."""
+    name = model.removeprefix(AIRO)
+    return name if name in UR_NAMES else None
+
+
 def arm_model(
     name: str | Path, kinematics: str | Path | None = None, joint_names: Sequence[str] | None = None
 ) -> ArmModel:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
-from twin_node.robot import UR_NAMES
-from twin_node.robot.arms import AIRO
+from twin_node.robot.arms import ur_name
 from twin_node.scene import Float64
 
 _VARIABLES = (
@@ -234,8 +233,8 @@ def _check_reachable(robot: str) -> None:
 
 def _check_model(robot: str, model: str) -> None:
     """Raises `ArmError` where the controller says it has another type of arm; not every controller says."""
-    name = model.removeprefix(AIRO)
-    if name not in UR_NAMES:
+    name = ur_name(model)
+    if name is None:
         return
     told = ask_dashboard(robot, "get robot model") or ""
     if re.fullmatch(r"UR\d+", told) and told != name.rstrip("e").upper():

@@ -90,7 +90,8 @@ class Checkpoint:
         expected: Mapping[str, Tensor] = {}
         of_field: list[nn.Parameter] = []
         if isinstance(field, nn.Module):
-            expected, of_field = field.state_dict(), [*field.grids(), *field.decoder()]
+            expected = field.state_dict()
+            of_field = [*field.grids(), *field.decoder()]  # in the order of the trainer's optimizer
         return (
             _shapes(expected) == _shapes(self._part("field."))
             and _are_states(self._part("adam."), learnt)
