@@ -236,8 +236,8 @@ def test_an_arm_that_stands_for_want_of_forecasts_is_told_of() -> None:
     def told() -> tuple[convert.Level, str]:
         return next((d.level, d.message) for d in cell.node.diagnoses() if d.name == "arm: forecasts")
 
-    cell = Cell()
-    assert told()[0] is convert.Level.ERROR
+    cell, stands = Cell(), ": the arm stands; look at the twin's status"
+    assert told() == (convert.Level.ERROR, f"no forecast yet{stands}")
     cell.joints()
     cell.somebody()
     assert told() == (convert.Level.OK, "in time")
@@ -246,7 +246,10 @@ def test_an_arm_that_stands_for_want_of_forecasts_is_told_of() -> None:
     assert told()[1].startswith("their evidence lies 120 ms in the future")
     cell.somebody()
     cell.wait(201)
-    assert told() == (convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status")
+    assert told() == (convert.Level.ERROR, f"no forecast for 201 ms{stands}")
+    cell.somebody(ahead_ms=-450)
+    assert told()[1].startswith("no forecast that is young enough: those that come are of 450 ms before")
+    assert told()[1].endswith(f"clocks that differ){stands}")
     with pytest.raises(TwinError, match="map"):
         cell.somebody(frame="map")
     assert told()[1].startswith("refused: obstacles: expected them in base_link")

@@ -85,16 +85,16 @@ class SpeedLimiter:
     def _tick(self, now: int) -> Separation:
         if self._decision is None:
             self._stamp = now
-            return standing(now, NO_EVIDENCE, "stopped: no forecast yet")
+            return standing(now, NO_EVIDENCE, f"stopped: {self._lack(now)}")
         self._arrival = min(self._arrival, now)  # a clock that was put back must not make a forecast last
         limit, reason = self._decision.speed_fraction, self._decision.reason
         age_s = self.silence_s(now)
         if self._decision.evidence_stamp == NO_EVIDENCE:
             limit, reason = 0.0, reason if limit == 0 else "stopped: nobody knows how old the evidence is; stamp it"
         elif age_s >= 2 * self.parameters.deadline_s:
-            limit, reason = 0.0, f"stopped: {self._lack(age_s, now)}"
+            limit, reason = 0.0, f"stopped: {self._lack(now)}"
         elif age_s >= self.parameters.deadline_s and limit > self.parameters.slow_fraction:
-            limit, reason = self.parameters.slow_fraction, f"slow: {self._lack(age_s, now)}"
+            limit, reason = self.parameters.slow_fraction, f"slow: {self._lack(now)}"
         elapsed_s = 0.0 if self._stamp is None else max(now - self._stamp, 0) * 1e-9
         self._fraction = min(limit, self._fraction + self.parameters.rise_per_s * elapsed_s)
         self._stamp = now
@@ -113,10 +113,17 @@ class SpeedLimiter:
             return math.inf
         return max(now - self._arrival, now - self._decision.evidence_stamp - self._latency_ns()) * 1e-9
 
-    def _lack(self, age_s: float, now: int) -> str:
-        """What is missing after a silence, s: where forecasts come all the same, who sends them is not to be sought."""
-        silent_s = math.inf if self._decision is None else (now - self._arrival) * 1e-9
-        if self._decision is None or silent_s >= min(age_s, _COMING_S):
+    def lack(self, now: int) -> str:
+        """What is missing after a silence that lasts at a time (ns): no forecast comes, or none young enough."""
+        with self._lock:
+            return self._lack(now)
+
+    def _lack(self, now: int) -> str:
+        """Where forecasts come all the same, who sends them is not to be sought."""
+        if self._decision is None:
+            return "no forecast yet"
+        age_s = self.silence_s(now)
+        if (now - self._arrival) * 1e-9 >= min(age_s, _COMING_S):
             return f"no forecast for {age_s * 1e3:.0f} ms"
         late_ms = (self._arrival - self._decision.evidence_stamp) / 1e6
         return (

@@ -157,10 +157,12 @@ class ArmNode(Node):
 
     def _forecasts(self) -> convert.Diagnosis:
         """Whether the arm stands because nothing is known: a twin that hangs cannot say so, nor one that has ended."""
-        silence_s = self._limiter.silence_s(self.clock.now())
+        now = self.clock.now()
+        silence_s = self._limiter.silence_s(now)
         level, message = convert.Level.OK, "in time"
         if silence_s >= 2 * self._parameters.limiter.deadline_s:
-            level, message = convert.Level.ERROR, "none that is young enough: the arm stands; look at the twin's status"
+            level = convert.Level.ERROR
+            message = f"{self._limiter.lack(now)}: the arm stands; look at the twin's status"
             if self._refused is not None:
                 message = f"refused: {self._refused}"
         elif self._ahead_s > AHEAD_S:
