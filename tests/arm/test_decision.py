@@ -244,6 +244,23 @@ def test_obstacles_of_one_layer_may_end_some_milliseconds_apart(ur5e_checker: Ar
     assert decide(ur5e_checker, ahead(TURNING, after), after, REACTION_S).speed_fraction == 0.0
 
 
+@pytest.mark.parametrize("kind", [ObstacleKind.MOVING, ObstacleKind.UNKNOWN])
+def test_whom_no_later_layer_takes_over_goes_on_though_others_are_foretold_for_longer(
+    ur5e_checker: ArmCollisionChecker, kind: ObstacleKind
+) -> None:
+    """As a tracker of people publishes them, one obstacle each: who is foretold for less was gone when that ended."""
+    for_longer = Thing((0.0, -5.0, 0.5), kind=kind, valid_ms=(0, 200))
+    ends_first = beside_the_tool(ur5e_checker, 0.42, kind=kind, valid_ms=(0, 50))
+    alone = decided(ur5e_checker, ends_first)
+    assert alone.speed_fraction < 1.0
+    beside = decided(ur5e_checker, ends_first, for_longer)
+    assert (beside.speed_fraction, beside.obstacle_id) == (alone.speed_fraction, 100)
+    after = NOW + 100 * MS
+    ur5e_checker.update(obstacles(ends_first, for_longer))
+    later = decide(ur5e_checker, ahead(TURNING, after), after, REACTION_S)
+    assert later.speed_fraction < beside.speed_fraction
+
+
 def test_the_distance_is_taken_along_the_path(ur5e_checker: ArmCollisionChecker) -> None:
     found = decided(ur5e_checker, beside_the_tool(ur5e_checker, 0.3))
     assert found.distance < ur5e_checker.distance(READY).distance

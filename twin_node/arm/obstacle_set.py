@@ -14,6 +14,9 @@ from twin_node.geometry import rotation_from_quat
 from twin_node.scene import HORIZONS_NS, Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
 _NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+SAME_LAYER_NS = 25_000_000
+"""Obstacles whose validity begins, or ends, this close together belong to one layer: half the step of the forecast's
+horizons."""
 _EARLY_NS = HORIZONS_NS[-1]
 """Evidence may come so much later than the time that is asked of, as computers' clocks differ: see `decide`."""
 _FARTHEST = 1e6
@@ -101,6 +104,21 @@ class ObstacleSet:
     def valid_at(self, stamps: NDArray[np.integer] | int) -> Bool:
         """True where an obstacle [n] counts at a time (ns); times [T, 1] give [T, n]."""
         return np.asarray((self.source.valid_from <= stamps) & (stamps <= self.source.valid_to))
+
+    @cached_property
+    def goes_on(self) -> Bool:
+        """[n] where no later layer takes over: none of its kind begins when it ends, or later, and ends later.
+
+        What was seen to move is taken over by any forecast of what moves.
+        """
+        found = np.ones(len(self), np.bool_)
+        for kind in (ObstacleKind.MOVING, ObstacleKind.UNKNOWN):
+            rows = self.kinds == kind
+            found[rows] = ~_taken_over(self.source.valid_from[rows], self.source.valid_to[rows])
+        last = self.last_valid(ObstacleKind.MOVING)
+        if last is not None:
+            found[self.as_seen] = last < self.source.stamp + SAME_LAYER_NS
+        return found
 
     def last_valid(self, kind: ObstacleKind) -> int | None:
         """Last time (ns) that obstacles of a kind speak of; None where there are none."""
@@ -202,6 +220,14 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         raise ArmError("obstacles: expected unit quaternions for boxes, found one of length zero; check the forecast")
     if not (_are_among(ObstacleShape, obstacles.shapes) and _are_among(ObstacleKind, obstacles.kinds)):
         raise ArmError("obstacles: expected known shapes and kinds, found others; check the versions of the messages")
+
+
+def _taken_over(begins: NDArray[np.int64], ends: NDArray[np.int64]) -> Bool:
+    """[n] whether some of these intervals (ns) begins no sooner than one ends, and ends later."""
+    order = np.argsort(begins)
+    latest = np.maximum.accumulate(ends[order][::-1])[::-1]  # of those that begin no sooner
+    following = np.searchsorted(begins[order], ends - SAME_LAYER_NS)
+    return np.append(latest, np.iinfo(np.int64).min)[following] >= ends + SAME_LAYER_NS
 
 
 def _are_tame(values: Float64) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twin_node.arm.checker import Approaches
 from twin_node.arm.course import ArmMotion, Course
 from twin_node.arm.errors import ArmError
-from twin_node.arm.obstacle_set import ObstacleSet
+from twin_node.arm.obstacle_set import SAME_LAYER_NS, ObstacleSet
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.scene import Bool, Float64, ObstacleKind
 
@@ -24,8 +24,6 @@ _BISECTIONS = 10
 """Halvings of the speed share's interval: exact to 0.1 %."""
 _LARGEST_CLOSING = 0.25
 """m/s, what ISO 10218-1 calls reduced speed: a law for nothing slower is none. Who gives more means millimetres."""
-_SAME_LAYER_NS = 25_000_000
-"""Obstacles whose validity ends this close together belong to one layer: half the step of the forecast's horizons."""
 
 
 class UnknownPolicy(Enum):
@@ -149,8 +147,8 @@ class Hazards:
 def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters) -> Hazards:
     """How the law looks at obstacles at a time (ns).
 
-    What stands still is valid for ever. Another obstacle ends with its validity, unless it belongs to the last layer of
-    its kind's forecast: that one goes on, and grows. So does, from the evidence on, what was seen. What the first layer
+    What stands still is valid for ever. Another obstacle ends with its validity, if a later layer of its kind's
+    forecast takes over: else it goes on, and grows. So does, from the evidence on, what was seen. What the first layer
     holds may be there before that begins: a forecast begins when it is expected to be read, at times after it is.
     Evidence of the future is no younger than now: the clocks differ, and by as much all that it says is earlier.
     """
@@ -159,17 +157,13 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
     unknown = np.asarray(kinds == ObstacleKind.UNKNOWN)
     is_furniture = parameters.unknown is UnknownPolicy.CLEARANCE
     keeps_still = obstacles.is_static | obstacles.is_unseen | (unknown & is_furniture)
-    in_last_layer = keeps_still.copy()
-    for kind in ObstacleKind:
-        last = obstacles.last_valid(kind)
-        if last is not None:
-            in_last_layer |= (kinds == kind) & (source.valid_to > last - _SAME_LAYER_NS)
-    as_seen = obstacles.as_seen & ~in_last_layer
-    counts = (source.valid_to >= stamp) | in_last_layer | as_seen
+    goes_on = keeps_still | obstacles.goes_on
+    as_seen = obstacles.as_seen & ~goes_on
+    counts = (source.valid_to >= stamp) | goes_on | as_seen
     counts &= ~((unknown | obstacles.is_unseen) & (parameters.unknown is UnknownPolicy.IGNORE))
     own_speeds = np.linalg.norm(source.velocities, axis=1)
     speeds = np.maximum(own_speeds, parameters.human_speed)
-    is_first = source.valid_from <= obstacles.begins + _SAME_LAYER_NS
+    is_first = source.valid_from <= obstacles.begins + SAME_LAYER_NS
     return Hazards(
         counts=np.asarray(counts),
         keeps_still=keeps_still,
@@ -177,7 +171,7 @@ def hazards(obstacles: ObstacleSet, stamp: int, parameters: SeparationParameters
         speeds=speeds,
         going_on=np.where(obstacles.as_seen, speeds, own_speeds),
         valid_from=np.where(is_first, stamp, source.valid_from),
-        valid_to=np.where(in_last_layer | as_seen, source.valid_to, np.iinfo(np.int64).max),
+        valid_to=np.where(goes_on | as_seen, source.valid_to, np.iinfo(np.int64).max),
         as_seen=as_seen,
         begins_with=np.asarray(kinds == ObstacleKind.MOVING) & ~as_seen & is_first,
         begins=obstacles.begins,
