@@ -86,10 +86,14 @@ def test_a_rig_in_a_base_that_is_turned_is_told_by_how_much_to_turn_it(degrees: 
     assert f"by {-degrees if abs(degrees) == 90 else degrees} degrees about z against base_link" in line
 
 
-@pytest.mark.parametrize("name", ["ur3e", "ur10e"])
+@pytest.mark.parametrize("name", ["ur3e", "ur10e", "ur12e"])
 def test_an_arm_of_another_size_is_told_by_its_name(name: str) -> None:
     (line,) = told_by(seen(0), arm=ur_model(name))
     assert f"it looks like a ur5e and not like a {name}" in line
+
+
+def test_an_arm_with_the_same_links_is_about_where_it_should_be() -> None:
+    assert told_by(seen(0), arm=ur_model("ur7e")) == ()
 
 
 def test_joints_of_another_order_are_told() -> None:

@@ -20,6 +20,7 @@ from twin_node.robot import (
     place_capsules,
     ur_dh,
     ur_model,
+    ur_shape,
 )
 from twin_node.robot.kinematics import tool_jacobian
 from twin_node.scene import JointSample
@@ -62,6 +63,13 @@ def test_link_poses_are_those_of_the_urdf() -> None:
         poses = forward_kinematics(model, q)[1:]
         np.testing.assert_allclose(poses[:, :3, 3], data.xpos[bodies], atol=1e-4)
         np.testing.assert_allclose(poses[:, :3, :3], data.xmat[bodies].reshape(-1, 3, 3), atol=1e-4)
+
+
+def test_arms_that_carry_more_have_the_links_of_those_that_they_are_sold_in_place_of() -> None:
+    shapes = {name: ur_shape(name) for name in UR_NAMES}
+    assert {name: shape for name, shape in shapes.items() if shape != name} == {"ur7e": "ur5e", "ur12e": "ur10e"}
+    assert ur_model("ur7e").name == "ur7e"
+    np.testing.assert_array_equal(ur_model("ur7e").origins, ur_model("ur5e").origins)
 
 
 def test_zero_angles_stretch_the_arm_along_x_of_base_link() -> None:
@@ -134,5 +142,5 @@ def test_wrong_joint_values_are_refused() -> None:
     for count in (0, 5, 7):
         with pytest.raises(RobotError, match=rf"expected one per name .*found shape \({count},\)"):
             model.ordered_positions(JointSample(0, model.joint_names, np.zeros(count), np.zeros(6)))
-    with pytest.raises(RobotError, match="expected one of ur3e, ur5e, ur10e, ur16e"):
+    with pytest.raises(RobotError, match="expected one of ur3e, ur5e, ur7e, ur10e, ur12e, ur16e"):
         ur_model("ur7")

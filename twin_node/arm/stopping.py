@@ -135,8 +135,9 @@ def stopping_table(arm: str, joints: int = 6) -> StoppingTable:
 
     Source: user manuals of the UR3 (3.10) and UR5 (3.4.5), appendix A.1: stop category 0, full reach, full payload,
     downwards. For the e-Series UR publishes plots only; its UR3e and UR5e are taken to stop as their predecessors. For
-    larger arms twice the UR5's times and angles are assumed: measure them, or set the controller's stopping-time limit
-    and enter that. Where an arm has not six joints, nobody knows which is its shoulder: all stop as late as that one.
+    arms that are larger or carry more twice the UR5's times and angles are assumed: measure them, or set the
+    controller's stopping-time limit and enter that. Where an arm has not six joints, nobody knows which is its
+    shoulder: all stop as late as that one.
     """
     table = _TABLES.get(arm, _TABLES["ur10e"])
     if joints == table.times.shape[1]:

@@ -57,7 +57,10 @@ def add_ur_driver(commands: Any) -> None:
         help="how the arm is driven (default slider)",
     )
     parser.add_argument(
-        "--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e, ur16e, or an MJCF or URDF file"
+        "--model",
+        default="ur5e",
+        metavar="ARM",
+        help="ur3e, ur5e (default), ur7e, ur10e, ur12e, ur16e, or an MJCF or URDF file",
     )
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
     parser.add_argument(

@@ -39,7 +39,9 @@ def add_ur_sim(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="loopback address (default 127.0.0.1)")
-    parser.add_argument("--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur10e or ur16e")
+    parser.add_argument(
+        "--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur7e, ur10e, ur12e or ur16e"
+    )
     parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
     parser.add_argument(
         "--polyscope",

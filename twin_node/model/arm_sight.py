@@ -10,7 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from twin_node.geometry import pose, rotation_from_quat
-from twin_node.robot import UR_NAMES, ArmModel, PlacedCapsules, forward_kinematics, place_capsules, ur_model
+from twin_node.robot import (
+    UR_NAMES,
+    ArmModel,
+    PlacedCapsules,
+    forward_kinematics,
+    place_capsules,
+    ur_model,
+    ur_shape,
+)
 from twin_node.scene import Float64, FrameSet, View
 
 EVERY_NS = 200_000_000
@@ -91,8 +99,9 @@ class ArmSight:
             shares = _shares(arm, q, seen).values()
             return len(shares) >= cameras and max(shares, default=1.0) < FITS
 
-        for name in UR_NAMES if self._arm.name in UR_NAMES else ():
-            if name != self._arm.name and fits(ur_model(name), views):
+        own = ur_shape(self._arm.name) if self._arm.name in UR_NAMES else None
+        for name in dict.fromkeys(map(ur_shape, UR_NAMES)) if own else ():
+            if name != own and fits(ur_model(name), views):
                 yield f"it looks like a {name} and not like a {self._arm.name}; set `model` of the arm"
         for degrees in TURNS_DEG:
             half = math.radians(degrees) / 2

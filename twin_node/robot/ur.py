@@ -6,6 +6,7 @@ Joint ranges and speeds: user manuals of the e-Series, technical specifications.
 
 Capsules enclose the collision meshes of UR's ROS description (`ur_description`), fitted by `capsule_fit.fit_capsules`
 and rounded outwards to 1 mm. The UR16e is the UR10e with shorter tubes: its capsules are the UR10e's, moved along them.
+UR7e and UR12e are a UR5e and a UR10e that carry more: the description has the same links, meshes and joint limits.
 """
 
 from __future__ import annotations
@@ -147,9 +148,22 @@ def _shortened(arm: _UrArm, upper_arm: float, forearm: float) -> _UrArm:
     return replace(arm, upper_arm=upper_arm, forearm=forearm, capsules=rows)
 
 
-_ARMS = {"ur3e": _UR3E, "ur5e": _UR5E, "ur10e": _UR10E, "ur16e": _shortened(_UR10E, 0.4784, 0.36)}
+_ARMS = {
+    "ur3e": _UR3E,
+    "ur5e": _UR5E,
+    "ur7e": _UR5E,
+    "ur10e": _UR10E,
+    "ur12e": _UR10E,
+    "ur16e": _shortened(_UR10E, 0.4784, 0.36),
+}
 UR_NAMES = tuple(_ARMS)
 """Names that `ur_model` knows."""
+
+
+def ur_shape(name: str) -> str:
+    """The first UR arm whose links are those of another ("ur5e" for "ur7e" and itself); raises as `ur_dh` does."""
+    arm = _arm(name)
+    return next(other for other, shape in _ARMS.items() if shape is arm)
 
 
 def ur_dh(name: str) -> DhParameters:
@@ -164,7 +178,7 @@ def ur_dh(name: str) -> DhParameters:
 
 
 def ur_model(name: str) -> ArmModel:
-    """Model of a UR arm ("ur3e", "ur5e", "ur10e" or "ur16e"); raises `RobotError` for another name."""
+    """Model of a UR arm, by one of `UR_NAMES`; raises `RobotError` for another name."""
     arm = _arm(name)
     full_turn = np.full(6, 2 * np.pi)
     full_turn[2] = np.pi  # the elbow meets the upper arm beyond half a turn

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -121,6 +122,21 @@ def test_another_type_of_arm_is_refused(other: StandInProcess) -> None:
     shift = Shift(other, model="ur10e")
     shift.until_state(DriverState.LOST, "expected a ur10e, the controller says it has a UR5")
     shift.close()
+
+
+@pytest.mark.parametrize(
+    ("model", "told", "is_it"),
+    [("ur7e", "UR7e", True), ("ur7e", "UR5", True), ("ur5e", "UR7e", False), ("ur12e", "UR5", False)],
+)
+def test_an_arm_that_carries_more_may_go_by_the_name_of_the_one_with_its_links(
+    model: str, told: str, is_it: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody has told what controllers of a UR7e and a UR12e say; a UR5e's stopping data are not a UR7e's."""
+    monkeypatch.setattr(link, "_check_reachable", lambda _: None)
+    monkeypatch.setattr(link, "ask_dashboard", lambda _, order: told if order == "get robot model" else "")
+    monkeypatch.setattr(link, "_module", MagicMock(side_effect=ArmError("went on")))
+    with pytest.raises(ArmError, match="went on" if is_it else f"expected a {model}, the controller says"):
+        link.RtdeLink(UrParameters(model=model))
 
 
 def test_an_arm_of_airo_models_is_the_type_that_it_is_named_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.sample import UrSample
+from twin_node.robot import ur_shape
 from twin_node.robot.arms import ur_name
 from twin_node.scene import Float64
 
@@ -237,7 +238,8 @@ def _check_model(robot: str, model: str) -> None:
     if name is None:
         return
     told = ask_dashboard(robot, "get robot model") or ""
-    if re.fullmatch(r"UR\d+", told) and told != name.rstrip("e").upper():
+    own = {same.rstrip("e").upper() for same in (name, ur_shape(name))}  # who carries more may go by the old name
+    if re.fullmatch(r"UR\d+e?", told) and told.rstrip("e") not in own:
         raise ArmError(f"{robot}: expected a {model}, the controller says it has a {told}; choose that model")
     series = re.search(r"URSoftware ([123])\.", ask_dashboard(robot, "PolyscopeVersion") or "")
     if series:
