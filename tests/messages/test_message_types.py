@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
 
 from twin_node import resources
 from twin_node.messages import (
@@ -23,6 +24,7 @@ from twin_node.messages import (
     type_hash,
 )
 from twin_node.messages.types import read_types
+from twin_node.runtime.zenoh_session import DISTRIBUTIONS
 
 OWN_TYPES = sorted(path.stem for path in resources.find("msgs/msg").glob("*.msg"))
 
@@ -55,6 +57,29 @@ def test_a_wrong_definition_file_is_named(tmp_path: Path, content: str, words: s
     with pytest.raises(MessageError, match=words) as caught:
         read_types(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("distribution", sorted({*DISTRIBUTIONS} - {"humble", "rolling"}))
+@pytest.mark.parametrize(
+    "msgtype",
+    [
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rosgraph_msgs/msg/Clock",
+        "sensor_msgs/msg/CameraInfo",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/PointCloud2",
+        "std_msgs/msg/Empty",
+        "tf2_msgs/msg/TFMessage",
+        "trajectory_msgs/msg/JointTrajectory",
+        "visualization_msgs/msg/MarkerArray",
+    ],
+)
+def test_every_distribution_announces_what_the_graph_speaks_alike(distribution: str, msgtype: str) -> None:
+    """Else what its nodes publish would be dropped without a word."""
+    theirs = get_typestore(Stores[f"ROS2_{distribution.upper()}"]).hash_rihs01(msgtype)
+    assert type_hash(msgtype) == theirs
 
 
 def test_hashes_are_those_that_ros_announces() -> None:

@@ -259,7 +259,7 @@ def test_humble_is_spoken_to_without_hashes(zenoh_router: ZenohParameters) -> No
 
 
 def test_wrong_settings_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    with pytest.raises(WireError, match="ros_distro: expected one of humble, jazzy"):
+    with pytest.raises(WireError, match="ros_distro: expected one of humble, jazzy, kilted, lyrical"):
         ZenohParameters(ros_distro="noetic")
     with pytest.raises(WireError, match="expected auto, builtin or external, found 'none'"):
         ZenohParameters(router="none")

@@ -29,7 +29,7 @@ WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
 _HOST_AND_PORT = re.compile(r"(\[[^]]+\]|[^][:]+):(?P<port>[0-9]+)")
 """An IPv6 address stands in brackets: without them its last part would be taken for the port."""
 _SOURCE_PLACE = re.compile(r"[.!\s]*\bat \S+\.rs:\d+\.?")
-DISTRIBUTIONS = ("humble", "jazzy", "kilted", "rolling")
+DISTRIBUTIONS = ("humble", "jazzy", "kilted", "lyrical", "rolling")
 """Distributions of ROS 2 whose wire format is spoken."""
 
 
