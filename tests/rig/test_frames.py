@@ -50,6 +50,18 @@ def test_views_stand_in_the_rigs_order_with_their_own_stamps() -> None:
     assert assembler.cameras == tuple(view.camera for view in frames.views)
 
 
+def test_images_that_are_narrower_than_asked_for_stay_as_they_are() -> None:
+    """Enlarged they would show no more, and take as much time as wide ones."""
+    small = replace(CAMERAS[0], width=80, height=60, K=np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]]))
+    sizes = {
+        width: [(c.width, c.height) for c in FrameAssembler((small, CAMERAS[1]), width).cameras]
+        for width in (None, 160, 16384)
+    }
+    assert sizes == {None: [(80, 60), (320, 240)], 160: [(80, 60), (160, 120)], 16384: [(80, 60), (320, 240)]}
+    with pytest.raises(RigError, match="expected a working size of at least 2x2, found 0x0"):
+        FrameAssembler(CAMERAS, 0)
+
+
 def test_a_silent_camera_is_missing_and_sets_are_counted() -> None:
     assembler = FrameAssembler(CAMERAS, width=160)
     sets = [assembler.assemble({name: image(0)}) for name in ("right", "left")]

@@ -38,7 +38,7 @@ class SynchronizerParameters:
     """How images are grouped and prepared."""
 
     width: int | None = None
-    """Working width of the images in pixels; None: the cameras' own."""
+    """Working width of the images in pixels; None, and of narrower ones: the cameras' own."""
     max_rate_hz: float | None = None
     """Sets above this rate are skipped (not counted as dropped); None takes all."""
     depth_tolerance_ms: float = 10.0

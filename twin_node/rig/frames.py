@@ -35,10 +35,11 @@ class FrameAssembler:
     """
 
     def __init__(self, cameras: Sequence[RigCamera], width: int | None = None) -> None:
-        """`width`: of all views, pixels; None: each camera's own."""
+        """`width`: of the views of wider cameras, pixels; None: each camera's own. None is enlarged."""
         if not cameras:
             raise RigError("frame assembler: expected at least one camera, found none")
-        self._undistorters = {camera.name: Undistorter(camera, width) for camera in cameras}
+        most = max(camera.width for camera in cameras) if width is None else width
+        self._undistorters = {camera.name: Undistorter(camera, min(camera.width, most)) for camera in cameras}
         self._joints: list[JointSample] = []
         self._sequence = 0
 
