@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from twin_node.forecast.bound import (
     CUES,
@@ -13,6 +16,7 @@ from twin_node.forecast.bound import (
     BoundParameters,
     CoverageControl,
     CueLengths,
+    Expected,
     cues,
 )
 
@@ -130,9 +134,77 @@ def test_without_a_record_the_reachable_set_stands_in() -> None:
     assert old < young
 
 
-def test_how_far_experts_are_apart_is_what_the_cues_say() -> None:
-    apart = np.array([0.0, 0.04, 0.3])
-    np.testing.assert_allclose(Bound().expected(like(apart)).spread, apart, atol=1e-12)
+@given(st.floats(0, 12), st.floats(0, 0.2), st.floats(0, 0.3))
+def test_the_reach_is_as_far_as_the_acceleration_leads_from_a_velocity_of_before(
+    acceleration: float, horizon_s: float, stale_s: float
+) -> None:
+    """Of something that has gained speed all the while since its velocity was told, and goes on to."""
+
+    def at(time: float) -> float:
+        return acceleration * time**2 / 2
+
+    led = at(0.0) - acceleration * stale_s * horizon_s
+    reach = Bound(BoundParameters(acceleration=acceleration)).reachable(horizon_s, stale_s)
+    assert reach == pytest.approx(at(horizon_s) - led, abs=1e-12)
+
+
+def test_without_a_record_a_bound_holds_where_an_old_velocity_and_the_experts_may_be_wrong_at_once() -> None:
+    bound, apart, stale_s = Bound(), np.array([0.0, 0.05]), 0.1
+    expected = Expected(np.full(2, 0.01), apart)
+    radii = bound.radii(expected, np.zeros(2), HORIZON, stale_s=stale_s)
+    np.testing.assert_allclose(radii, bound.reachable(HORIZON, stale_s) + apart)
+    assert np.all(radii > bound.radii(expected, np.zeros(2), HORIZON))
+
+
+def test_the_images_factor_widens_and_narrows_what_was_learnt_but_takes_nothing_from_the_reach() -> None:
+    bound, ages = Bound(), np.array([HORIZON, 0.0])
+    expected = Expected(np.full(2, 0.04), np.zeros(2))
+    narrow, plain, wide = (bound.radii(expected, ages, HORIZON, factor) for factor in (0.5, 1.0, 3.0))
+    assert narrow[0] == pytest.approx(0.5 * plain[0])
+    assert wide[0] == pytest.approx(3.0 * plain[0])
+    assert narrow[1] == plain[1] == pytest.approx(bound.reachable(HORIZON))
+    assert wide[1] == wide[0] > plain[1]
+
+
+def learnt(errors: np.ndarray, period: float) -> tuple[float, float]:
+    """Expected error and quantile after errors [T, n], each row of which lasts for `PERIOD`, looked at so often."""
+    bound, now = Bound(), like(np.full(errors.shape[1], 0.1))
+    for step, row in enumerate(np.repeat(errors, round(PERIOD / period), axis=0)):
+        bound.observe(step * period, now, row, np.ones(len(row)), period)
+    return float(bound.scales(now)[0]), bound.quantile
+
+
+SEVERAL = np.geomspace(0.005, 0.2, 10)
+"""Errors of as many nodes, m."""
+
+
+@pytest.mark.parametrize("copies", [2, 6])
+def test_a_body_of_more_nodes_errs_no_more_often(copies: int) -> None:
+    """Neighbouring nodes err together: a hundred that do are no hundred surprises."""
+    assert learnt(np.repeat(SEVERAL, copies)[None], PERIOD) == pytest.approx(learnt(SEVERAL[None], PERIOD))
+
+
+@pytest.mark.parametrize("per_period", [2, 4])
+@pytest.mark.parametrize("shares", [[0.01], [1.0] * 6, [1.0] * 15 + [0.1] * 60])
+def test_how_often_errors_are_looked_at_tells_nothing_of_them(per_period: int, shares: list[float]) -> None:
+    """Cameras of 60 and 120 Hz learn and forget as fast as those of 30 Hz, at once, later, and after a change."""
+    errors = np.outer(shares, SEVERAL)
+    assert learnt(errors, PERIOD / per_period) == pytest.approx(learnt(errors, PERIOD), rel=0.03)
+
+
+def test_of_a_large_body_no_part_is_left_out_of_the_record() -> None:
+    """Only some of its nodes are entered: where these were its first ones, a hand that came last was never learnt."""
+    bound, now = Bound(), like(np.full(200, 0.05))
+    errors = np.repeat([0.005, 0.1], 100)
+    for step in range(90):
+        bound.observe(step * PERIOD, now, errors, np.ones(200), PERIOD)
+    assert bound.radii(bound.expected(now), np.ones(200), HORIZON)[-1] >= 0.1
+
+
+def test_how_far_experts_are_apart_is_what_the_cues_say_whatever_else_they_do() -> None:
+    apart, other = np.array([0.0, 0.04, 0.3]), np.array([1.0, 0.2, 0.0])
+    now = cues(CueLengths(apart, other, other, other, other, other))
+    np.testing.assert_allclose(Bound().expected(now).spread, apart, atol=1e-12)
 
 
 def test_however_long_nothing_is_missed_no_more_may_be_missed_than_five_times_the_share_aimed_at() -> None:
