@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from twin_node.forecast import Forecaster
 from twin_node.forecast.growth import Points, reach_of, shifts_of, spread
 from twin_node.forecast.measured import Measured
+from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Prediction, Predictor
 from twin_node.forecast.swerving import Swerves, beside, swerves_of
 from twin_node.forecast.tracks import Tracks
@@ -34,10 +35,41 @@ def test_what_stays_in_its_bound_is_not_held_aside_and_what_leaves_it_is() -> No
     np.testing.assert_allclose(swerves.displacements[:, :2, 1], [[0.0, 0.03], [0.0, 0.11]])
 
 
-@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_swerves_are_held_from_one_end_to_the_other(seed: int, share: float) -> None:
+def test_who_leaves_its_bound_on_the_way_and_is_back_in_it_at_last_is_not_held_aside() -> None:
+    aside = np.zeros((4, 2, 3))
+    aside[:, :, 1] = [[0.0, 0.0], [0.2, 0.01], [0.2, 0.02], [0.09, 0.2]]
+    radii = np.array([[0.05, 0.3], [0.06, 0.3], [0.08, 0.3], [0.1, 0.1]])
+    assert swerves_of(np.zeros((4, 2, 3)), radii, aside, 0.4).held.tolist() == [False, True]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.01, 1.5))
+def test_between_where_it_is_led_and_where_it_swerves_a_part_is_held_in_steps_of_its_size(
+    seed: int, nodes: int, farthest: float
+) -> None:
+    """At every horizon, each part on its own way: beyond its size a gap would open that nothing holds."""
+    rng = np.random.default_rng(seed)
+    places = np.tile(4 * np.arange(nodes, dtype=np.int32), (3, 1))
+    points = Points(places, np.arange(nodes), np.ones(nodes, np.bool_))
+    growing = np.linspace(0, 1, 4)[:, None, None]
+    led, aside = (growing * rng.uniform(-1, 1, (nodes, 3)) * farthest / np.sqrt(3) for _ in range(2))
+    swerving = rng.uniform(size=nodes) < 0.6
+    radii = rng.uniform(0.02, 0.2, (4, nodes))
+    ways = beside(Ways(points, led, radii), points, Swerves(led + aside, swerving))
+    assert ways.radii.shape == ways.displacements.shape[:2]
+    for node in range(nodes):
+        mine = ways.points.labels[(ways.points.places == places[:, [node]]).all(axis=0)]
+        way, size = ways.displacements[:, mine], np.linalg.norm(aside[-1, node])
+        np.testing.assert_array_equal(way[:, 0], led[:, node])
+        np.testing.assert_allclose(way[:, -1], (led + swerving[node] * aside)[:, node], atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(np.diff(way[-1], axis=0), axis=-1).sum(), swerving[node] * size)
+        assert np.linalg.norm(np.diff(way, axis=1), axis=-1).max(initial=0) <= PART_SIZE + 1e-9
+        assert (ways.radii[:, mine] <= radii[:, [node]]).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0, 1))
+def test_swerves_are_held_from_one_end_to_the_other(seed: int, nodes: int, share: float) -> None:
     """Of several nodes, each with a rim, some of which do not swerve."""
-    rng, nodes = np.random.default_rng(seed), 3
+    rng = np.random.default_rng(seed)
     block = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij")).reshape(3, -1)
     corners = rng.integers(8, 26, (nodes, 3))
     places = np.concatenate([corner[:, None] + block for corner in corners], axis=1).astype(np.int32)
