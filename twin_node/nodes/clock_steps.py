@@ -10,6 +10,7 @@ import numpy as np
 from twin_node.bag import LogReader
 from twin_node.messages import header_stamp
 from twin_node.nodes.player import Span
+from twin_node.scene import Float64
 
 WINDOW = 15
 """Messages before and after a step that it is told from: half a second at 30 Hz."""
@@ -17,14 +18,16 @@ LEAST_STEP_NS = 50_000_000
 """Less may be a computer that has got more to do."""
 STEADINESS = 0.25
 """Share of a step that delays on either side may differ by: where they grow and shrink, a disk or a link is slow."""
+ALIKE = 0.9
+"""What comes to so much of the largest step is taken to be that one, seen from a message or two beside it."""
 
 
 @dataclass(frozen=True)
 class ClockStep:
     """Where a clock was set anew."""
 
-    stamp: int
-    """Of the last message before it, ns."""
+    recorded: int
+    """When the last message before it was recorded, ns: stamps may be by a clock of their own."""
     step_ns: int
     """How far stamps went ahead, ns; below 0: back."""
 
@@ -32,7 +35,7 @@ class ClockStep:
         """In words; `start`: of the log, ns."""
         return (
             f"stamps jump by {self.step_ns / 1e6:+.0f} ms against the time of recording, "
-            f"{(self.stamp - start) / 1e9:.1f} s after the start, and stay so: its clock was set, or its way has "
+            f"{(self.recorded - start) / 1e9:.1f} s after the start, and stay so: its clock was set, or its way has "
             "changed; use what lies before or after it"
         )
 
@@ -44,17 +47,25 @@ def clock_step(stamps: Sequence[int], delays: Sequence[int]) -> ClockStep | None
     """
     if len(delays) < 2 * WINDOW:
         return None
-    windows = np.lib.stride_tricks.sliding_window_view(np.array(delays, dtype=np.float64), WINDOW)
+    told = np.array(delays, dtype=np.float64)
+    windows = np.lib.stride_tricks.sliding_window_view(told, WINDOW)
     middles = np.median(windows, axis=1)
     spreads = np.quantile(windows, 0.9, axis=1) - np.quantile(windows, 0.1, axis=1)
-    steps = middles[:-WINDOW] - middles[WINDOW:]
+    steps, spread = middles[:-WINDOW] - middles[WINDOW:], np.maximum(spreads[:-WINDOW], spreads[WINDOW:])
     sizes = np.abs(steps)
-    is_step = (sizes >= LEAST_STEP_NS) & (np.maximum(spreads[:-WINDOW], spreads[WINDOW:]) <= STEADINESS * sizes)
+    is_step = (sizes >= LEAST_STEP_NS) & (spread <= STEADINESS * sizes)
     if not is_step.any():
         return None
-    spread = np.where(is_step, np.maximum(spreads[:-WINDOW], spreads[WINDOW:]), np.inf)
-    row = int(np.argmin(spread))
-    return ClockStep(int(stamps[row + WINDOW - 1]), round(steps[row]))
+    is_largest = is_step & (sizes >= ALIKE * sizes[is_step].max())
+    row = int(np.argmin(np.where(is_largest, spread, np.inf)))
+    last = row + _last_before(told[row : row + 2 * WINDOW], middles[row], middles[row + WINDOW])
+    return ClockStep(int(stamps[last]) + int(delays[last]), round(steps[row]))
+
+
+def _last_before(delays: Float64, before: float, after: float) -> int:
+    """Number of the last of `delays` (ns) before a step between two: on either side the fewest are of the other one."""
+    is_after = np.abs(delays - after) < np.abs(delays - before)
+    return int(np.argmin(np.cumsum(is_after) - np.cumsum(~is_after)))
 
 
 def camera_clock_steps(log: LogReader, images: Mapping[str, str], span: Span) -> dict[str, ClockStep]:
