@@ -10,7 +10,7 @@ from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance, Sw
 from twin_node.arm.course import ArmMotion, Underway
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import standing
-from twin_node.arm.path import STEP_NS, go_on
+from twin_node.arm.path import STEP_NS, go_on, told_finely
 from twin_node.arm.separation import Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import ArmModel
@@ -40,12 +40,12 @@ def decide(
 ) -> Separation:
     """Speed that the separation law leaves an arm now (ns) that means to follow a path ahead, at its full speed.
 
-    `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it; one that does not is refused.
-    `reaction_s` is the measured time from now until the arm begins to brake. `table` is the arm's stopping data, by
-    default those of its name. `joints`, as measured now, tell of an arm that still brakes and is faster than it was
-    told; without them it is taken to be as fast as that. `underway` says how much of the reaction time a command takes
-    to the arm, what that does meanwhile, and how long its controller slides to a stop; without it the arm is taken to
-    obey at once. The pair that falls most
+    `path` begins now, as `path_ahead`, `CyclicPath.ahead` and `extrapolate` give it; one that does not is refused. Its
+    joints go straight from one sample to the next, however far apart these are. `reaction_s` is the measured time from
+    now until the arm begins to brake. `table` is the arm's stopping data, by default those of its name. `joints`, as
+    measured now, tell of an arm that still brakes and is faster than it was told; without them it is taken to be as
+    fast as that. `underway` says how much of the reaction time a command takes to the arm, what that does meanwhile,
+    and how long its controller slides to a stop; without it the arm is taken to obey at once. The pair that falls most
     short at full speed decides and is named: its distance and closing speed are from the arm's present pose to where
     the obstacles will be. `distance` is the smallest of any pair along the path. An arm whose checker was never given
     obstacles stands; how old evidence may be (`evidence_stamp`), `SpeedLimiter` and the driver judge. Raises `ArmError`
@@ -58,7 +58,8 @@ def decide(
     if len(checker.obstacles) == 0 and evidence == NO_EVIDENCE:
         return standing(stamp, NO_EVIDENCE, "stopped: no forecast yet")
     _refuse_future(evidence, stamp)
-    path = replace(path, names=checker.model.joint_names, positions=checker.model.order(path.names, path.positions))
+    positions = checker.model.order(path.names, path.positions)
+    path = told_finely(JointPath(checker.model.joint_names, path.stamps, positions))
     found = hazards(checker.obstacles, stamp, law)
     stopping = table or stopping_table(checker.bare_model.name, checker.bare_model.joints)
     fastest = _fastest(path.positions, _seconds(path))

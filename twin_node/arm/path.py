@@ -15,6 +15,8 @@ AHEAD_NS = HORIZONS_NS[-1]
 """How far ahead the arm is looked at, ns: as far as obstacles are forecast."""
 STEP_NS = 10_000_000
 """Time between two looked-at poses, ns: at 1 m/s the arm moves 10 mm, far less than its own width."""
+_FINE_NS = 30_000_000
+"""Samples of a path no farther apart than this tell enough of it, ns: at 1 m/s the arm moves 30 mm."""
 _SAMPLE_LASTS_NS = 1_000_000_000
 """An arm is taken to keep its velocities for so long, ns: twice as long as live joints are believed, for a forecast
 begins later."""
@@ -35,6 +37,17 @@ def sample_path(path: JointPath, stamps: NDArray[np.integer]) -> Float64:
     times = (np.asarray(stamps) - start).astype(np.float64)
     knots = (path.stamps - start).astype(np.float64)
     return np.stack([np.interp(times, knots, column) for column in path.positions.T], axis=-1)
+
+
+def told_finely(path: JointPath) -> JointPath:
+    """A path with poses every 10 ms where samples are farther apart than 30 ms; linear between these.
+
+    Raises `ArmError` as `sample_path` does.
+    """
+    if len(path.stamps) < 2 or np.diff(path.stamps).max() <= _FINE_NS:
+        return path
+    stamps = np.union1d(path.stamps, np.arange(path.stamps[0], path.stamps[-1], STEP_NS))
+    return JointPath(path.names, stamps, sample_path(path, stamps))
 
 
 class SampledPath:
