@@ -134,6 +134,10 @@ def _without_properties(path: Path) -> None:
     path.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nend_header\n")
 
 
+def _endless_count(path: Path) -> None:
+    _with_header(path, b"element vertex 4\n", b"element vertex " + b"9" * 5000 + b"\n")
+
+
 def _two_counts(path: Path) -> None:
     _with_header(path, b"element vertex 4\n", b"element vertex 4\nelement vertex 2\n")
 
@@ -153,6 +157,7 @@ def _vertices_again(path: Path) -> None:
         (_cut_short, "cut short"),
         (_uneven_rest, "f_rest"),
         (_without_properties, "with properties"),
+        (_endless_count, "cannot read the header line 'element vertex 9+'; export"),
         (_two_counts, "vertices once"),
         (_vertices_again, "vertices once"),
     ],
@@ -162,7 +167,26 @@ def test_wrong_files_are_named(tmp_path: Path, spoil: object, says: str) -> None
     spoil(path)
     with pytest.raises(ModelError, match=says) as caught:
         read_ply(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+@pytest.mark.filterwarnings("error")
+def test_doubles_beyond_float32_become_infinite_without_a_word(tmp_path: Path) -> None:
+    """As numpy's warnings they stood beside the one error that refuses them."""
+    names = ("x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3)))
+    table = np.full(2, 1e300, [(name, "f8") for name in (*names, *(f"rot_{i}" for i in range(4)))])
+    path = tmp_path / "wide.ply"
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+    cloud = cloud_from_stored(read_ply(path))
+    assert np.isposinf(cloud.means).all() and np.isposinf(cloud.rgb).all() and np.isnan(cloud.quats).all()
+    assert (cloud.opacities == 1).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_quaternions_whose_squares_leave_float32_are_rotations(tmp_path: Path) -> None:
+    gaussians = stored(2, 0)
+    gaussians.quats[:] = [[3e30, 0, 4e30, 0], [3e-30, 0, 4e-30, 0]]
+    np.testing.assert_allclose(cloud_from_stored(gaussians).quats, [[0.6, 0, 0.8, 0]] * 2, rtol=1e-6)
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -18,7 +18,7 @@ from twin_node.model.ply import stored_from_cloud, write_ply
 from twin_node.nodes.export import LogSource
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES
 from twin_node.robot import ur_model
-from twin_node.scene import JointSample
+from twin_node.scene import GaussianCloud, JointSample
 
 
 def run(*arguments: object) -> int:
@@ -216,8 +216,10 @@ def test_a_log_without_obstacles_is_refused(
         ("log_scales", 200),
         ("logits", np.nan),
         ("sh", np.nan),
+        ("sh", -np.inf),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_a_scene_with_numbers_that_are_none_is_refused(
     tmp_path: Path, refused: Callable[..., str], field: str, value: float
 ) -> None:
@@ -227,6 +229,14 @@ def test_a_scene_with_numbers_that_are_none_is_refused(
     values[3] = value
     write_ply(replace(stored, **{field: values}), tmp_path / "scene.ply")
     assert "in 1 of 50 Gaussians, the first at 3; take them out" in refused(
+        "import", "ply", tmp_path / "scene.ply", "-o", tmp_path / "scene.mcap"
+    )
+    assert not (tmp_path / "scene.mcap").exists()
+
+
+def test_a_scene_of_nothing_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    write_ply(stored_from_cloud(GaussianCloud.none()), tmp_path / "scene.ply")
+    assert "expected Gaussians, found none" in refused(
         "import", "ply", tmp_path / "scene.ply", "-o", tmp_path / "scene.mcap"
     )
     assert not (tmp_path / "scene.mcap").exists()

@@ -18,6 +18,10 @@ FAINTEST = 1e-6
 """Opacities of 0 and 1 are stored as this far from them: the layout holds logits."""
 SMALLEST_M = 1e-9
 """Scales below this are stored as it: the layout holds logarithms."""
+MOST_DIGITS = 18
+"""Of a count in a header: what has more is no number of bytes that a disk holds."""
+MOST_SIGNS = 80
+"""Of a header's line that cannot be read: what is repeated to the user."""
 
 
 @dataclass(frozen=True)
@@ -59,19 +63,21 @@ def stored_from_cloud(cloud: GaussianCloud) -> StoredGaussians:
 def cloud_from_stored(stored: StoredGaussians) -> GaussianCloud:
     """Stored Gaussians as a cloud that stands still, in the mean colour of all sides.
 
-    Values that are not finite stay so, and scales beyond float32 become infinite.
+    Values that are not finite stay so, and scales beyond float32 become infinite; logits without end are 0 and 1.
     """
     count = len(stored)
-    lengths = np.linalg.norm(stored.quats, axis=1, keepdims=True)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(stored.quats.astype(np.float64), axis=1, keepdims=True)
+        quats = (stored.quats / np.where(lengths > 0, lengths, 1)).astype(np.float32)
         scales = np.exp(stored.log_scales)
         opacities = (1 / (1 + np.exp(-stored.logits.astype(np.float64)))).astype(np.float32)
+        rgb = stored.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     return GaussianCloud(
         means=stored.means,
-        quats=(stored.quats / np.where(lengths > 0, lengths, 1)).astype(np.float32),
+        quats=quats,
         scales=scales,
         opacities=opacities,
-        rgb=np.clip(stored.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0, 1),
+        rgb=np.where(np.isfinite(rgb), np.clip(rgb, 0, 1), rgb),
         velocities=np.zeros((count, 3), np.float32),
         tiers=np.full(count, Tier.STATIC, np.uint8),
         ids=np.arange(count, dtype=np.uint32),
@@ -156,11 +162,11 @@ def _parse_header(data: bytes, path: Path) -> _Header:
                 order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(kind, "")
                 if not order:
                     raise ModelError(f"{path}: expected a binary PLY file, found format {kind}; export it as binary")
-            case ["element", "vertex", number] if number.isdecimal():
+            case ["element", "vertex", number] if _is_count(number):
                 if count >= 0:
                     raise ModelError(f"{path}: expected vertices once, found them again; export Gaussians only")
                 count, in_vertex = int(number), True
-            case ["element", name, number] if number.isdecimal():
+            case ["element", name, number] if _is_count(number):
                 if count < 0:
                     raise ModelError(f"{path}: expected vertices first, found element {name}; export Gaussians only")
                 in_vertex = False
@@ -169,13 +175,19 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             case ["comment" | "obj_info", *_] | []:
                 continue
             case _ if in_vertex or count < 0:
-                raise ModelError(f"{path}: cannot read the header line '{line}'; export it in the 3DGS layout")
+                raise ModelError(
+                    f"{path}: cannot read the header line '{line[:MOST_SIGNS]}'; export it in the 3DGS layout"
+                )
     if not fields or not order or len({name for name, _ in fields}) != len(fields):
         raise ModelError(
             f"{path}: expected a format and an element vertex with properties, each once, in the header; "
             "the file is damaged"
         )
     return _Header(end + len(last), count, np.dtype(fields))
+
+
+def _is_count(word: str) -> bool:
+    return word.isdecimal() and len(word) <= MOST_DIGITS
 
 
 def _from_table(table: np.ndarray, path: Path) -> StoredGaussians:
@@ -192,7 +204,8 @@ def _from_table(table: np.ndarray, path: Path) -> StoredGaussians:
         )
 
     def columns(*names: str) -> Float32:
-        return np.stack([table[name] for name in names], 1).astype(np.float32)
+        with np.errstate(over="ignore"):  # doubles beyond float32 become infinite
+            return np.stack([table[name] for name in names], 1).astype(np.float32)
 
     sh = np.zeros((len(table), bases, 3), np.float32)
     sh[:, 0] = columns("f_dc_0", "f_dc_1", "f_dc_2")
@@ -202,7 +215,7 @@ def _from_table(table: np.ndarray, path: Path) -> StoredGaussians:
         columns("x", "y", "z"),
         columns("rot_0", "rot_1", "rot_2", "rot_3"),
         columns("scale_0", "scale_1", "scale_2"),
-        table["opacity"].astype(np.float32),
+        columns("opacity")[:, 0],
         sh,
     )
 

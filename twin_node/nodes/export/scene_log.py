@@ -21,9 +21,11 @@ def import_ply(path: Path, output: Path) -> int:
     """Writes the Gaussians of a PLY file (3DGS layout) as one latched `/twin/gaussians`, all STATIC; returns how many.
 
     Colours become those of all sides, in 8 bits; the stamp is 0. Raises `ModelError` or `BagError` for a wrong path,
-    `ModelError` for Gaussians that are nowhere, or of no size, shape or colour.
+    `ModelError` for Gaussians that are nowhere, or of no size, shape or colour, and where there are none.
     """
     cloud = cloud_from_stored(read_ply(path))
+    if not len(cloud.means):
+        raise ModelError(f"{path}: expected Gaussians, found none; export the scene again")
     _require_finite(cloud, path)
     with LogWriter(output) as log:
         log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud, 0), 0)
