@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,7 +88,7 @@ def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:
             "it fixed at 0"
         )
     width, height = size
-    cx, cy = K[0, 2], K[1, 2]
+    cx, cy = float(K[0, 2]), float(K[1, 2])
     if not (0 < cx < width and 0 < cy < height):
         raise RigError(
             f"{where}.K: expected a principal point inside the image of {width}x{height}, found ({cx:g}, {cy:g}); "
@@ -138,11 +140,11 @@ def check_pose(where: str, T: Float) -> None:
             f"{where}.T_base_cam: expected a rotation of determinant 1, found -1; "
             "one axis is mirrored (left-handed coordinates): flip its column"
         )
-    distance = float(np.linalg.norm(T[:3, 3]))
+    distance = math.hypot(*T[:3, 3])
     if distance > MAX_DISTANCE_M:
         raise RigError(
             f"{where}.T_base_cam: expected a translation in metres, found {_text(T[:3, 3])}, "
-            f"{distance:.0f} m from the base; if it is in millimetres divide it by 1000 (in centimetres by 100)"
+            f"{distance:.6g} m from the base; if it is in millimetres divide it by 1000 (in centimetres by 100)"
         )
 
 

@@ -258,10 +258,22 @@ def test_a_binary_colmap_model_is_read_as_the_text_is(tmp_path: Path) -> None:
         np.testing.assert_allclose(camera.D, [0.1, -0.05, 0.001, 0.002, 0])
 
 
-def test_colmap_lenses_without_a_counterpart_are_named(tmp_path: Path) -> None:
-    colmap_binary(tmp_path, 7, [500, 501, 320.5, 240.5, 0.9], around(2))
-    with pytest.raises(RigError, match="found FOV"):
+@pytest.mark.parametrize(("number", "name", "parameters"), [(7, "FOV", 5), (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16)])
+def test_colmap_lenses_without_a_counterpart_are_named(tmp_path: Path, number: int, name: str, parameters: int) -> None:
+    colmap_binary(tmp_path, number, [500, 501, 320.5, 240.5, *[0.1] * (parameters - 4)], around(2))
+    with pytest.raises(RigError, match=f"found {name}; undistort"):
         IMPORTERS["colmap"](tmp_path, 1.0)
+
+
+@pytest.mark.parametrize("file", ["cameras.bin", "images.bin"])
+def test_a_count_of_colmap_that_is_too_small_is_named(tmp_path: Path, file: str) -> None:
+    """Cameras behind it were left out in silence."""
+    colmap_binary(tmp_path, 1, [500, 501, 320.5, 240.5], around(3))
+    whole = (tmp_path / file).read_bytes()
+    count = int.from_bytes(whole[:8], "little") - 1
+    (tmp_path / file).write_bytes(count.to_bytes(8, "little") + whole[8:])
+    with pytest.raises(RigError, match=rf"{file}: .* found [0-9]+ bytes behind the {count} that it counts"):
+        IMPORTERS["colmap"](tmp_path)
 
 
 @given(st.integers(0, 400), st.binary(max_size=8))

@@ -54,6 +54,8 @@ def colmap(tmp_path: Path, camera: str, unit: float | None = None) -> RigCamera:
             [0.1, -0.02, 0.003, 0.004, 0.05, 0.06, -0.007, 0.008],
             "rational_polynomial",
         ),
+        ("SIMPLE_FISHEYE 640 480 500 320.5 240.5", (500, 500, 320, 240), [0, 0, 0, 0], "equidistant"),
+        ("FISHEYE 640 480 500 510 320.5 240.5", (500, 510, 320, 240), [0, 0, 0, 0], "equidistant"),
         ("RADIAL_FISHEYE 640 480 500 320.5 240.5 0.1 -0.02", (500, 500, 320, 240), [0.1, -0.02, 0, 0], "equidistant"),
     ],
     ids=lambda value: value.split()[0] if isinstance(value, str) else None,

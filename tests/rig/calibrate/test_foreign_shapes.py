@@ -125,6 +125,27 @@ def test_what_no_calibration_of_opencv_holds_is_named(tmp_path: Path, replaced: 
         ),
         ("1 PINHOLE 640 480 500 500 320 240", "1 1 0 0 0 0 0 1 1 a.png\n\n2 1 0 0 0", "and a name, found '2 1 0 0 0'"),
         ("1 PINHOLE 640.5 480 500 500 320 240", "1 1 0 0 0 0 0 1 1 a.png\n", r"a\.png\.size: expected .* whole pixels"),
+        (
+            "1 PINHOLE 640 480 500 500 320 240",
+            "1 1 0 0 0 0 0 1 1 a.png\n2 1 0 0 0 1 0 1 1 the left one.png\n",
+            r"a\.png: expected a line of points below it, .* found '2 1 0 0 0 1 0 1 1 the left one\.png'",
+        ),
+        (
+            "1 PINHOLE 640 480 500 500 320 240",
+            "1 1 0 0 0 0 0 1 1.5 a.png\n",
+            r"a\.png: expected the number of a camera, found '1\.5'",
+        ),
+        (
+            "1 PINHOLE 640 480 500 500 320 240\n1 PINHOLE 480 640 500 500 240 320",
+            "1 1 0 0 0 0 0 1 1 a.png\n",
+            r"cameras\.txt: camera 1: expected number 1 once, found it again",
+        ),
+        (
+            "1 PINHOLE 640 480 500 500 320 240",
+            "1 1 0 0 0 0 0 1 1 a.png\n\n1 1 0 0 0 1 0 1 1 b.png\n",
+            r"b\.png: expected number 1 once, found it again",
+        ),
+        (f"1 PINHOLE {'9' * 5000} 480 5 5 320 240", "", "camera 1: expected finite numbers, found 9{60}$"),
     ],
 )
 def test_what_no_colmap_model_holds_is_named(tmp_path: Path, cameras: str, images: str, told: str) -> None:
@@ -132,6 +153,37 @@ def test_what_no_colmap_model_holds_is_named(tmp_path: Path, cameras: str, image
     (tmp_path / "cameras.txt").write_text(f"{cameras}\n")
     (tmp_path / "images.txt").write_text(images)
     with pytest.raises(RigError, match=told):
+        IMPORTERS["colmap"](tmp_path)
+
+
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_empty_lines_and_comments_lose_no_image(tmp_path: Path, mark: str) -> None:
+    """As COLMAP reads them: a second empty line shifted all below it, and they were left out in silence."""
+    (tmp_path / "cameras.txt").write_text(f"{mark}# Cameras\n\n  # of one\n1 PINHOLE 640 480 500 500 320 240\n")
+    images = [f"{i} 1 0 0 0 {i} 0 1 1 {name}.png\n" for i, name in enumerate("abc")]
+    (tmp_path / "images.txt").write_text(
+        f"{mark}# Images\n\n{images[0]}\n\n  # the second\n{images[1]}1.5 2.5 -1\n\n\n{images[2]}"
+    )
+    assert [camera.name for camera in IMPORTERS["colmap"](tmp_path).rig.cameras] == ["a", "b", "c"]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("length", ["1e-300", "1e300"])
+def test_quaternions_whose_squares_have_no_end_are_rotations(tmp_path: Path, length: str) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    (tmp_path / "images.txt").write_text(f"1 {length} 0 {length} 0 0 0 0 1 a.png\n\n")
+    (camera,) = IMPORTERS["colmap"](tmp_path).rig.cameras
+    np.testing.assert_allclose(camera.T_base_cam[:3, :3], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_without_end_are_one_error(tmp_path: Path) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 1e308 240\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 1e200 1 a.png\n\n")
+    with pytest.raises(RigError, match=r"found \(1e\+308, 239\.5\)"):
+        IMPORTERS["colmap"](tmp_path)
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    with pytest.raises(RigError, match=r"expected a translation in metres, .* 1e\+200 m from the base"):
         IMPORTERS["colmap"](tmp_path)
 
 

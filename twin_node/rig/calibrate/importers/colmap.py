@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.geometry import rotation_from_quat
-from twin_node.rig.calibrate.importers.colmap_files import ColmapCamera, ColmapImage, read_model
+from twin_node.rig.calibrate.importers.colmap_files import MOST_SIGNS, ColmapCamera, ColmapImage, read_model
 from twin_node.rig.calibrate.importers.foreign_camera import (
     foreign_camera,
     foreign_rig,
@@ -38,6 +38,8 @@ MODELS = {
     "SIMPLE_RADIAL": _Model(1, "plumb_bob", (0,), 5),
     "RADIAL": _Model(1, "plumb_bob", (0, 1), 5),
     "OPENCV": _Model(2, "plumb_bob", (0, 1, 2, 3), 5),
+    "SIMPLE_FISHEYE": _Model(1, "equidistant", (), 4),
+    "FISHEYE": _Model(2, "equidistant", (), 4),
     "SIMPLE_RADIAL_FISHEYE": _Model(1, "equidistant", (0,), 4),
     "RADIAL_FISHEYE": _Model(1, "equidistant", (0, 1), 4),
     "OPENCV_FISHEYE": _Model(2, "equidistant", (0, 1, 2, 3), 4),
@@ -74,7 +76,8 @@ def _names(images: list[str]) -> list[str]:
 def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> RigCamera:
     if lens.model not in MODELS:
         raise RigError(
-            f"{lens.where}: expected one of {', '.join(MODELS)}, found {lens.model}; undistort the model with COLMAP"
+            f"{lens.where}: expected one of {', '.join(MODELS)}, found {lens.model[:MOST_SIGNS]}; undistort the model "
+            "with COLMAP"
         )
     model = MODELS[lens.model]
     expected = model.focals + 2 + len(model.coefficients)
@@ -85,7 +88,9 @@ def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> R
     D[list(model.coefficients)] = rest[2:]
     # COLMAP's top-left pixel has its centre at (0.5, 0.5).
     K = pinhole(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
-    if not np.linalg.norm(image.pose[:4]) > 0:
-        raise RigError(f"{image.where}: expected a quaternion, found {image.pose[:4].tolist()}; export the model again")
-    T = from_world_to_camera(rotation_from_quat(image.pose[:4]), image.pose[4:] * unit)
+    quat, longest = image.pose[:4], np.abs(image.pose[:4]).max()
+    if not 0 < longest < np.inf:
+        raise RigError(f"{image.where}: expected a quaternion, found {quat.tolist()}; export the model again")
+    # Divided first: squares of large numbers have no end.
+    T = from_world_to_camera(rotation_from_quat(quat / longest), image.pose[4:] * unit)
     return foreign_camera(image.where, name, lens.size, K, T, model.distortion, D)

@@ -24,14 +24,23 @@ MODEL_NAMES = (
     "SIMPLE_RADIAL_FISHEYE",
     "RADIAL_FISHEYE",
     "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "EUCM",
+    "EQUIRECTANGULAR",
 )
 """By COLMAP's number of the model."""
-MODEL_PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+MODEL_PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
 """How many parameters each has: needed to find the next camera in a binary file."""
 POINT_BYTES = 24
 """Of a point in an image: x, y, and the number of the point in space."""
 MOST_SIGNS = 60
-"""Of a line that is no line of points: what is repeated to the user."""
+"""Of what a model cannot hold: what is repeated to the user."""
+MOST_DIGITS = 10
+"""Of a number of a camera or an image, which COLMAP holds in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,7 @@ class ColmapImage:
     """A pose."""
 
     where: str
+    number: int
     name: str
     camera: int
     pose: Float64
@@ -68,69 +78,96 @@ class ColmapModel:
 def read_model(folder: Path) -> ColmapModel:
     """The model of a folder: `cameras.txt` and `images.txt`, else `cameras.bin` and `images.bin`.
 
-    Raises `RigError` naming the file that is missing, cut short or no such file.
+    Raises `RigError` naming the file that is missing, cut short or no such file, or the number that stands twice.
     """
     binary = folder / "cameras.bin"
     if binary.is_file() and not (folder / "cameras.txt").is_file():
-        return ColmapModel(_binary_cameras(binary), _binary_images(folder / "images.bin"))
-    return ColmapModel(_text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt"))
+        model = ColmapModel(_binary_cameras(binary), _binary_images(folder / "images.bin"))
+    else:
+        model = ColmapModel(_text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt"))
+    for entries in (model.cameras, model.images):
+        known: set[int] = set()
+        for entry in entries:
+            if entry.number in known:
+                raise RigError(f"{entry.where}: expected number {entry.number} once, found it again; remove one")
+            known.add(entry.number)
+    return model
 
 
 def _text_cameras(path: Path) -> tuple[ColmapCamera, ...]:
     cameras = []
-    for line in _lines(path):
-        if not line:
-            continue
-        where = f"{path}: camera {line[0]}"
-        numbers = _numbers(where, [line[0], *line[2:]])
-        if len(numbers) < 4:
-            raise RigError(f"{where}: expected a model, a width, a height and parameters, found {' '.join(line)}")
-        size = (float(numbers[1]), float(numbers[2]))
-        cameras.append(ColmapCamera(where, int(numbers[0]), line[1], size, numbers[3:]))
+    for line in filter(None, _lines(path)):
+        number = _whole(str(path), "camera", line[0])
+        where = f"{path}: camera {number}"
+        numbers = _numbers(where, line[2:])
+        if len(numbers) < 3:
+            raise RigError(f"{where}: expected a model, a width, a height and parameters, found {_told(line)}")
+        size = (float(numbers[0]), float(numbers[1]))
+        cameras.append(ColmapCamera(where, number, line[1], size, numbers[2:]))
     return tuple(cameras)
 
 
 def _text_images(path: Path) -> tuple[ColmapImage, ...]:
-    """Every second line lists the points of the image above it, three numbers each. Raises `RigError` for others."""
-    lines, images = _lines(path), []
-    for line, points in zip(lines[::2], [*lines[1::2], []], strict=False):
-        if not line:
-            continue
+    """The line below each image lists its points, three numbers each; before images may be empty lines.
+
+    Raises `RigError` for others.
+    """
+    lines, images = iter(_lines(path)), []
+    for line in filter(None, lines):
         if len(line) < 10:
             raise RigError(
                 f"{path}: expected lines of a number, a quaternion, a translation, a camera and a name, found "
-                f"{' '.join(line)[:MOST_SIGNS]!r}; export the model again"
+                f"{_told(line)!r}; export the model again"
             )
         where = f"{path}: {line[9]}"
-        if len(points) % 3:
+        points = next(lines, [])
+        if len(points) % 3 or not _is_number(points[-1] if points else "0"):
             raise RigError(
-                f"{where}: expected a line of points below it, empty where there are none, found "
-                f"{' '.join(points)[:MOST_SIGNS]!r}"
+                f"{where}: expected a line of points below it, empty where there are none, found {_told(points)!r}"
             )
-        numbers = _numbers(where, line[1:9])
-        images.append(ColmapImage(where, " ".join(line[9:]), int(numbers[7]), numbers[:7]))
+        number, camera = _whole(where, "image", line[0]), _whole(where, "camera", line[8])
+        images.append(ColmapImage(where, number, " ".join(line[9:]), camera, _numbers(where, line[1:8])))
     return tuple(images)
 
 
 def _lines(path: Path) -> list[list[str]]:
+    """The words of each line but comments."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # editors of Windows begin with a mark
     except (OSError, UnicodeDecodeError) as error:
         raise RigError(
             f"{path}: expected a model of COLMAP (cameras and images, .txt or .bin), found: {reason(error)}; give "
             "the folder that holds them"
         ) from error
-    return [line.split() for line in text.splitlines() if not line.startswith("#")]
+    return [line.split() for line in text.split("\n") if not line.lstrip().startswith("#")]
+
+
+def _whole(where: str, of: str, word: str) -> int:
+    if not (word.isdecimal() and len(word) <= MOST_DIGITS):
+        raise RigError(f"{where}: expected the number of a {of}, found {_told([word])!r}; export the model again")
+    return int(word)
 
 
 def _numbers(where: str, parts: list[str]) -> Float64:
-    try:
-        numbers = np.array([float(part) for part in parts])
-    except ValueError as error:
-        raise RigError(f"{where}: expected numbers, found {error}") from error
+    wrong = [part for part in parts if not _is_number(part)]
+    if wrong:
+        raise RigError(f"{where}: expected numbers, found {_told(wrong)!r}")
+    numbers = np.array([float(part) for part in parts])
     if not np.isfinite(numbers).all():
-        raise RigError(f"{where}: expected finite numbers, found {' '.join(parts)}")
+        raise RigError(f"{where}: expected finite numbers, found {_told(parts)}")
     return numbers
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _told(words: list[str]) -> str:
+    return " ".join(words)[:MOST_SIGNS]
 
 
 class _Bytes:
@@ -148,8 +185,8 @@ class _Bytes:
         """The next values, as `struct` describes them."""
         try:
             values = struct.unpack_from(f"<{form}", self._data, self._at)
-        except struct.error as error:
-            raise self.damaged(str(error)) from error
+        except struct.error:
+            raise self._cut() from None
         self._at += struct.calcsize(f"<{form}")
         return values
 
@@ -157,7 +194,7 @@ class _Bytes:
         """The text up to the next zero byte."""
         end = self._data.find(b"\0", self._at)
         if end < 0:
-            raise self.damaged("a name without an end")
+            raise self._cut()
         text = self._data[self._at : end].decode("utf-8", errors="replace")
         self._at = end + 1
         return text
@@ -166,7 +203,15 @@ class _Bytes:
         """Leaves out bytes that must be there."""
         self._at += count
         if self._at > len(self._data):
-            raise self.damaged(f"{self._at - len(self._data)} bytes too few")
+            raise self._cut()
+
+    def end(self, count: int) -> None:
+        """Nothing may come any more, of a file that told of `count` entries."""
+        if self._at < len(self._data):
+            raise self.damaged(f"{len(self._data) - self._at} bytes behind the {count} that it counts")
+
+    def _cut(self) -> RigError:
+        return self.damaged(f"one that ends after {len(self._data)} bytes")
 
     def damaged(self, found: str) -> RigError:
         """The error for a file that is cut short or none of COLMAP's."""
@@ -184,6 +229,7 @@ def _binary_cameras(path: Path) -> tuple[ColmapCamera, ...]:
         parameters = np.array(data.take(f"{MODEL_PARAMETERS[kind]}d"))
         where = f"{path}: camera {number}"
         cameras.append(ColmapCamera(where, number, MODEL_NAMES[kind], (width, height), parameters))
+    data.end(int(count))
     return tuple(cameras)
 
 
@@ -192,11 +238,12 @@ def _binary_images(path: Path) -> tuple[ColmapImage, ...]:
     (count,) = data.take("Q")
     images = []
     for _ in range(int(count)):
-        data.take("i")
+        (number,) = data.take("i")
         pose = np.array(data.take("7d"))
         (camera,) = data.take("i")
         name = data.text()
         (points,) = data.take("Q")
         data.skip(POINT_BYTES * int(points))
-        images.append(ColmapImage(f"{path}: {name}", name, int(camera), pose))
+        images.append(ColmapImage(f"{path}: {name}", int(number), name, int(camera), pose))
+    data.end(int(count))
     return tuple(images)
