@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -87,7 +88,38 @@ def test_counts_that_no_file_can_hold_end_at_once(model: Path, file: Path) -> No
         check_whole(model)
 
 
-def test_models_in_text_are_not_looked_at(model: Path, tmp_path: Path) -> None:
+def test_a_count_that_is_too_small_is_named(model: Path, file: Path) -> None:
+    """What lay behind was left out, and nobody was told."""
+    whole = file.read_bytes()
+    count = int.from_bytes(whole[:8], "little") - 1
+    file.write_bytes(count.to_bytes(8, "little") + whole[8:])
+    with pytest.raises(ModelError, match=rf"{file.name}: expected the end after {count} {file.stem}, found .* more;"):
+        check_whole(model)
+
+
+def test_a_camera_model_that_is_not_known_is_named(model: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(model, tmp_path / "0") / "cameras.bin"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:12] + (99).to_bytes(4, "little") + whole[16:])
+    with pytest.raises(ModelError, match=r"cameras\.bin: expected camera models that pycolmap knows, found number 99;"):
+        check_whole(path.parent)
+
+
+@pytest.mark.parametrize("name", ["b.png", "the left one.png"])
+def test_images_in_text_without_lines_of_points_are_named(tmp_path: Path, name: str) -> None:
+    """pycolmap takes every second of them for points, and leaves it out."""
+    images = [f"{i} 1 0 0 0 0 0 {i} 1 {name}\n" for i in (1, 2)]
+    path = tmp_path / "images.txt"
+    path.write_text("# Image list\n" + "\n".join([*images, "# more", "", ""]))
+    check_whole(tmp_path)
+    path.write_text("1 1 0 0 0 0 0 1 1 a.png\n1.5 2.5 -1 3 4 7\n" + "".join(images))
+    with pytest.raises(
+        ModelError, match=rf"images\.txt: expected a line of points below that of image '{name}'.* '2 1 0"
+    ):
+        check_whole(tmp_path)
+
+
+def test_binary_models_beside_those_in_text_are_not_looked_at(model: Path, tmp_path: Path) -> None:
     pycolmap.Reconstruction(str(model)).write_text(str(tmp_path))
     (tmp_path / "points3D.bin").write_bytes(b"\1")
     check_whole(tmp_path)

@@ -127,6 +127,24 @@ def test_a_colmap_pose_that_is_none_is_named(copied: Copied) -> None:
         read_folder(folder, ReadOptions())
 
 
+@pytest.mark.parametrize("wrong", ["0", "-50", "nan", "1e400"])
+def test_a_colmap_camera_without_a_focal_length_is_named(copied: Copied, wrong: str) -> None:
+    """Those in text become 0 where they are no numbers."""
+    folder = copied("colmap")
+    path = folder / "sparse" / "0" / "cameras.txt"
+    path.write_text(path.read_text().replace(str(CAMERAS[0].K[0, 0]), wrong))
+    with pytest.raises(ModelError, match=r"expected a camera of 'cam0' with a focal length above 0|export it again"):
+        read_folder(folder, ReadOptions())
+
+
+def test_names_of_colmap_images_in_another_encoding_are_one_error(copied: Copied) -> None:
+    folder = copied("colmap")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_bytes(path.read_bytes().replace(b"cam0.png", "rück.png".encode("latin-1")))
+    with pytest.raises(ModelError, match=r"expected a model of COLMAP, .*'utf-8' .* export it again"):
+        read_folder(folder, ReadOptions())
+
+
 def test_a_colmap_fisheye_without_coefficients_is_no_pinhole(copied: Copied) -> None:
     folder = copied("colmap")
     change_model(folder, "cameras.txt", lambda f: [f[0], "OPENCV_FISHEYE", *f[2:], "0", "0", "0", "0"])

@@ -28,6 +28,8 @@ MODELS = ("sparse/0", "sparse_", "sparse")
 FRAME_NS = 1e9 / 30
 """Time between images, ns."""
 IMAGES = (".png", ".jpg", ".jpeg")
+MOST_SIGNS = 200
+"""Of what pycolmap says of a model that it cannot read."""
 
 
 def recognises(folder: Path) -> bool:
@@ -73,10 +75,15 @@ def _load_model(folder: Path) -> Any:
     path = _model_folders(folder)[0]
     check_whole(path)
     try:
-        return pycolmap.Reconstruction(path)
+        model = pycolmap.Reconstruction(path)
+        for image in model.images.values():
+            _ = image.name  # which is no text in UTF-8 where another system gave it
+        return model
     except (ValueError, RuntimeError, IndexError, MemoryError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "damaged"
-        raise ModelError(f"{path}: expected a model of COLMAP, found none that can be read ({reason})") from None
+        raise ModelError(
+            f"{path}: expected a model of COLMAP, found none that can be read ({reason[:MOST_SIGNS]}); export it again"
+        ) from None
 
 
 def _camera_name(image: Any) -> str:
@@ -132,6 +139,12 @@ def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptio
             f"{folder}: expected undistorted cameras, found {seen_by.model_name} for '{name}'; "
             "run colmap image_undistorter"
         )
+    full_K = seen_by.calibration_matrix()
+    if not (np.isfinite(full_K).all() and full_K[0, 0] > 0 and full_K[1, 1] > 0):
+        raise ModelError(
+            f"{folder}: expected a camera of '{name}' with a focal length above 0, found "
+            f"{seen_by.params_info} = {np.asarray(seen_by.params).tolist()}; export the model again"
+        )
     camera: Camera | None = None
     for index, file in enumerate(files):
         full = load_image(file)[..., :3]
@@ -142,9 +155,7 @@ def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptio
             )
         rgb = shrunk(full, options.width)
         if camera is None:
-            K = scaled_intrinsics(
-                seen_by.calibration_matrix(), (seen_by.width, seen_by.height), (rgb.shape[0], rgb.shape[1])
-            )
+            K = scaled_intrinsics(full_K, (seen_by.width, seen_by.height), (rgb.shape[0], rgb.shape[1]))
             camera = Camera(name, rgb.shape[1], rgb.shape[0], K, _pose(image))
         yield View(camera, round(index * FRAME_NS), rgb)
 

@@ -1,4 +1,6 @@
-"""COLMAP's binary files walked through to their ends: behind those of a cut one pycolmap reads on, some for ever.
+"""COLMAP's files walked through to their ends: behind those of a cut one pycolmap reads on, some for ever.
+
+In text it takes every second line about images for points, whatever stands there.
 
 Layouts: colmap/scene/reconstruction_io_binary.cc; rigs and frames since COLMAP 3.12.
 """
@@ -24,12 +26,15 @@ POINT_BYTES = 8 + 3 * 8 + 3 + 8
 """Of a point before its track: number, place, colour, error."""
 SEEN_BYTES = 4 + 4
 """One entry of a track: image, point of it."""
+MOST_SIGNS = 60
+"""Of a line that is no line of points: what is repeated to the user."""
 
 
 class _File:
     """A file's bytes, taken one after another; `struct.error` or `ValueError` where it has ended."""
 
     def __init__(self, path: Path) -> None:
+        self.path = path
         self.data = path.read_bytes()
         self.at = 0
 
@@ -48,20 +53,51 @@ class _File:
 
 
 def check_whole(model: Path) -> None:
-    """Raises `ModelError` for a file of a model in binary that ends before what it says it holds."""
+    """Raises `ModelError` for a file of a model in binary that ends elsewhere than where it says that it does.
+
+    Also for one in text whose images have no lines of points below them: every second would be lost.
+    """
     if not all((model / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D")):
-        return  # it is read as text
+        if (model / "images.txt").is_file():
+            _check_lines(model / "images.txt")
+        return
     for name, skip in _SKIPS.items():
         path = model / f"{name}.bin"
         if path.is_file():
             _check_file(path, skip)
 
 
-def _check_file(path: Path, skip: Callable[[_File], None]) -> None:
+def _check_lines(path: Path) -> None:
+    lines = (line.split() for line in _read(path).data.split(b"\n"))
+    for image in lines:
+        if not image or image[0].startswith(b"#"):
+            continue
+        points = next(lines, [])
+        if len(points) % 3 or not _is_number(points[-1] if points else b"0"):
+            name, found = (b" ".join(words).decode(errors="replace")[:MOST_SIGNS] for words in (image[9:], points))
+            raise ModelError(
+                f"{path}: expected a line of points below that of image '{name}', empty where there are none, found "
+                f"'{found}'; export the model again"
+            )
+
+
+def _is_number(word: bytes) -> bool:
     try:
-        file = _File(path)
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _read(path: Path) -> _File:
+    try:
+        return _File(path)
     except OSError as problem:
         raise ModelError(f"{path}: cannot be read ({problem.strerror}); check its permissions") from None
+
+
+def _check_file(path: Path, skip: Callable[[_File], None]) -> None:
+    file = _read(path)
     count, whole = 0, 0
     try:
         count = file.number(_COUNT)
@@ -73,16 +109,27 @@ def _check_file(path: Path, skip: Callable[[_File], None]) -> None:
             f"{path}: expected {count or 'the number of'} {path.stem}, found a file that ends after {whole}, "
             f"{len(file.data)} bytes; copy it again, or export the model again"
         ) from None
+    if file.at < len(file.data):
+        raise ModelError(
+            f"{path}: expected the end after {count} {path.stem}, found {len(file.data) - file.at} bytes more; copy it "
+            "again, or export the model again"
+        )
 
 
 def _skip_camera(file: _File) -> None:
     file.skip(_LENGTH.size)
-    parameters = _parameters(file.number(_INT))
+    kind = file.number(_INT)
+    parameters = _parameters(kind)
+    if not parameters:
+        raise ModelError(
+            f"{file.path}: expected camera models that pycolmap knows, found number {kind}; run colmap "
+            "image_undistorter, or export the model again"
+        )
     file.skip(CAMERA_BYTES + 8 * parameters)
 
 
 def _parameters(kind: int) -> int:
-    """How many numbers a camera model has; none for one that pycolmap does not know, which it says itself."""
+    """How many numbers a camera model has; none for one that pycolmap does not know."""
     import pycolmap
 
     try:
