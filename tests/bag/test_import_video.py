@@ -116,6 +116,44 @@ def test_a_rate_for_a_video_that_has_none_is_told(tmp_path: Path) -> None:
     assert not import_video([timed], tmp_path / "b.mcap").warnings
 
 
+def without_frames(path: Path, first: int, last: int) -> Path:
+    """A video of twenty frames of which some cannot be decoded."""
+    av = pytest.importorskip("av")
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.codec_context.gop_size = 1
+        for pts in range(20):
+            frame = av.VideoFrame.from_ndarray(np.full((HEIGHT, WIDTH, 3), 10 * pts, np.uint8), format="rgb24")
+            frame.pts, frame.time_base = pts, Fraction(1, 25)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    with av.open(str(path)) as file:
+        begins = [packet.pos for packet in file.demux(file.streams.video[0]) if packet.size]
+    content = bytearray(path.read_bytes())
+    for at in range(begins[first], begins[last + 1], 188):
+        content[at + 1 : at + 3] = b"\x1f\xff"  # packets of nothing
+    path.write_bytes(content)
+    return path
+
+
+def test_frames_lost_in_the_middle_are_told_where_stamps_go_by_their_number(tmp_path: Path) -> None:
+    """Those behind got the stamps of earlier ones, and it was told that the last stamps are not used."""
+    lost = VideoCamera(camera("a"), without_frames(tmp_path / "lost.ts", 8, 10), stamps(0, 40_000_000, 20))
+    irregular, *_ = import_video([lost], tmp_path / "a.mcap").warnings
+    assert "frame 8 comes 0.160 s after the one before, where 0.040 s are usual: frames before it cannot" in irregular
+    kept = replace(lost, stamps=np.delete(lost.stamps, slice(8, 11)))
+    assert not any("comes" in warning for warning in import_video([kept], tmp_path / "b.mcap").warnings)
+
+
+def test_a_video_that_may_not_be_read_is_said_to_be_so(
+    tmp_path: Path, video: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: path != video)
+    with pytest.raises(BagError, match=r"camera a: video .*video\.avi cannot be read; check its permissions"):
+        import_video([VideoCamera(camera("a"), video, fps=30.0)], tmp_path / "a.mcap")
+
+
 def test_a_camera_that_began_before_the_others_is_no_error(tmp_path: Path, video: Path) -> None:
     """As the example in calibration/README.md: an offset below 0, and frames that are counted from 0 s."""
     early = VideoCamera(camera("early", time_offset_ns=-1_012_500_000), video, fps=10)

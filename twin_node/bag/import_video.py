@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -124,6 +125,8 @@ class _Clip:
             )
         if not source.video.is_file():
             raise BagError(f"camera {name}: video {source.video} does not exist; correct the path in the rig file")
+        if not os.access(source.video, os.R_OK):
+            raise BagError(f"camera {name}: video {source.video} cannot be read; check its permissions")
         _check_times(source)
         self._source = source
         self._capture = cv2.VideoCapture(str(source.video))
@@ -180,14 +183,26 @@ class _Clip:
         self._file_times.append(self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
 
     def _irregular(self) -> str | None:
-        """That the file's own times have no rate, where a rate is to stamp its frames."""
+        """That the file's own times have no rate, where a rate is to stamp its frames, or that frames are lost.
+
+        Frames' own stamps go with a varying rate; where there are some for frames that did not come, later ones are of
+        others.
+        """
         periods = np.diff(self._file_times)
-        if self._source.stamps is not None or len(periods) < 2 or periods.min() < 0:
+        if len(periods) < 2 or periods.min() < 0:
             return None
         usual = float(np.median(periods))
         if periods.max() <= MOST_PERIODS * usual + ROUNDING_S:
             return None
-        late, video = int(periods.argmax()) + 1, self._source.video
+        late, video, stamps = int(periods.argmax()) + 1, self._source.video, self._source.stamps
+        if stamps is not None:
+            if min(self.claimed_frames, len(stamps)) <= self.frames:
+                return None
+            return (
+                f"camera {self._source.camera.name}: in {video} frame {late} comes {periods.max():.3f} s after the one "
+                f"before, where {usual:.3f} s are usual: frames before it cannot be decoded, and those behind have the "
+                "stamps of earlier ones; copy it again"
+            )
         return (
             f"camera {self._source.camera.name}: in {video} frame {late} comes {periods.max():.3f} s after the one "
             f"before, where {usual:.3f} s are usual: it has no rate, and fps {self._source.fps:g} stamps it wrongly; "
