@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,30 @@ def test_what_is_no_rig_file_is_kept_too(tmp_path: Path, capsys: pytest.CaptureF
     write_rig(RigFile(Rig((RigCamera("left", 640, 480, K, np.eye(4), "plumb_bob", np.zeros(5)),))), path)
     assert (tmp_path / "board.yaml.1").read_text(encoding="utf-8") == "kind: charuco\n"
     assert "by hand" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("refused", ["rig.yaml.1", "rig.yaml.partial"])
+def test_nothing_is_left_beside_a_rig_that_cannot_be_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str
+) -> None:
+    """Half of what was to be kept, or all of it once more for each attempt."""
+    K = np.array([[500.0, 0, 319.5], [0, 500.0, 239.5], [0, 0, 1]])
+    path = tmp_path / "rig.yaml"
+    path.write_text("mine", encoding="utf-8")
+    opened = Path.open
+
+    def full(at: Path, mode: str = "r", *more: Any, **options: Any) -> Any:
+        file = opened(at, mode, *more, **options)
+        if at.name != refused or mode == "r":
+            return file
+        file.close()
+        return opened(Path("/dev/full"), mode.replace("x", "w"), *more, **options)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(RigError, match="No space left on device"):
+        write_rig(RigFile(Rig((RigCamera("left", 640, 480, K, np.eye(4), "plumb_bob", np.zeros(5)),))), path)
+    monkeypatch.undo()
+    assert [(one.name, one.read_text(encoding="utf-8")) for one in tmp_path.iterdir()] == [("rig.yaml", "mine")]
 
 
 def test_what_cannot_be_kept_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,10 +23,15 @@ def write_rig(rig_file: RigFile, path: Path) -> None:
 
     Raises `RigError` where either cannot be written.
     """
-    from twin_node.rig import save_rig
+    from twin_node.rig import RigError, save_rig
 
     lost, kept = _lost(path, rig_file), _kept(path)
-    save_rig(rig_file, path)
+    try:
+        save_rig(rig_file, path)
+    except RigError:
+        if kept is not None:
+            kept.unlink(missing_ok=True)
+        raise
     if kept is None:
         return
     by_hand = f"; take over from there what was written by hand: {', '.join(lost)}" if lost else ""
@@ -44,10 +49,15 @@ def _kept(path: Path) -> Path | None:
         for number in count(1):
             kept = path.with_name(f"{path.name}.{number}")
             try:
-                with kept.open("xb") as file:
-                    file.write(content)
+                file = kept.open("xb")
             except FileExistsError:
                 continue
+            try:
+                with file:
+                    file.write(content)
+            except OSError:
+                kept.unlink(missing_ok=True)
+                raise
             return kept
     except OSError as error:
         raise RigError(
