@@ -20,6 +20,10 @@ _KINDS: dict[type, str] = {
 }
 
 
+MOST_SIGNS = 300
+"""Of a value in a file: what is repeated to the user, enough for any 4x4 matrix of one's own."""
+
+
 class TwinError(Exception):
     """Something given to the twin is wrong.
 
@@ -53,4 +57,10 @@ def kind_of(value: object) -> str:
 
 def told(value: object) -> str:
     """A value in a file: text and numbers themselves, of anything else what it is."""
-    return repr(value) if isinstance(value, str | int | float) else kind_of(value)
+    return repeated(value) if isinstance(value, str | int | float) else kind_of(value)
+
+
+def repeated(value: object) -> str:
+    """A value in a file itself, cut short where it is longer than anybody reads."""
+    text = repr(value)
+    return text if len(text) <= MOST_SIGNS else f"{text[:MOST_SIGNS]} ..."

@@ -7,11 +7,13 @@ from typing import Any
 
 import yaml
 
-from twin_node.errors import TwinError, reason
+from twin_node.errors import TwinError, reason, repeated
 from twin_node.unfinished import whole_file
 
 YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
 """What `parse_yaml` raises: no syntax; no date, no number; no end."""
+LARGEST = 10**4000
+"""Whole numbers beyond this cannot be: written in hexadecimal they may be longer than Python prints in decimal."""
 MOST_REPEATED = 1_000_000
 """Characters that the aliases of a file may stand for, all together: a rig of a hundred cameras has a tenth of it."""
 
@@ -85,10 +87,13 @@ class _Loader(yaml.SafeLoader):
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
-            return super().construct_object(node, deep)
+            value = super().construct_object(node, deep)
+            if isinstance(value, int) and abs(value) > LARGEST:
+                raise OverflowError
+            return value
         except (LookupError, AttributeError, OverflowError):
             kind = node.tag.rpartition(":")[2]
-            wrong = f"expected what can be !!{kind}, found {node.value!r}"
+            wrong = f"expected what can be !!{kind}, found {repeated(node.value)}"
             raise yaml.constructor.ConstructorError(None, None, wrong, node.start_mark) from None
 
     def compose_scalar_node(self, anchor: Any) -> yaml.ScalarNode:

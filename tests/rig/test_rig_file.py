@@ -166,6 +166,12 @@ MISTAKES = {
         lambda d, c: c.update(time_rate_ppm=5.0, time_reference=1.7e18),
         r"left.*time_reference: expected seconds, found 1.7e\+18",
     ),
+    "rotation beyond squares": (lambda d, c: scaled(c, 1e300, 1), r"left.*T_base_cam: expected orthonormal .* by inf"),
+    "place beyond squares": (lambda d, c: scale_translation(c, 1e300), r"left.*T_base_cam: .* in metres, found .*e\+"),
+    "quaternion beyond squares": (
+        lambda d, c: c.update(T_base_cam={"translation": [0, 0, 0], "quaternion": [1e200, 0, 0, 0]}),
+        r"left.*quaternion: .* found length 1e\+200",
+    ),
     "number without end": (lambda d, c: c.update(sigma_m=10**400), r"left.*sigma_m: expected a number"),
     "size without end": (lambda d, c: c.update(size=[10**400, 2]), r"left.*size: expected 2 numbers"),
     "rate in shares": (lambda d, c: c.update(time_rate_ppm=2e4), r"left.*time_rate_ppm: .*found 20000"),
@@ -180,6 +186,7 @@ def scale_translation(camera: dict[str, Any], factor: float) -> None:
     camera["T_base_cam"] = T.tolist()
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_line_that_names_it(tmp_path: Path, mistake: str) -> None:
     change, message = MISTAKES[mistake]
@@ -187,7 +194,7 @@ def test_a_mistake_is_one_line_that_names_it(tmp_path: Path, mistake: str) -> No
     with pytest.raises(RigError, match=message) as caught:
         load_rig(path)
     assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(str(path))
+    assert str(caught.value).startswith(str(path)) and len(str(caught.value)) < 800
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2", "just words", "\tcameras: 1", "- 1"])
@@ -206,6 +213,7 @@ def test_what_is_no_rig_file(tmp_path: Path, text: str) -> None:
         ("notes: !!int many", "invalid literal"),
         ("frame: a\nframe: b", "found the field 'frame' a second time"),
         ("notes: " + 2000 * "[", ""),
+        ("notes: 0x" + 5000 * "f", r"expected what can be !!int, found '0xf+ \.\.\. in line"),
     ],
 )
 def test_values_that_cannot_be_and_fields_twice_are_one_line(tmp_path: Path, line: str, message: str) -> None:

@@ -33,6 +33,9 @@ IN_SIGHT = np.radians(20)
 TELLING_SPREAD = 0.03
 """Mean squared sine of the angles between optical axes and their mean (10 deg) from which they surely meet."""
 
+LARGEST_ROUNDED = 1e9
+"""Numbers below this are told to six digits behind the point."""
+
 ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R R^T from the identity: rounding to four digits passes, a scaled rotation does not."""
 
@@ -129,8 +132,9 @@ def check_pose(where: str, T: Float) -> None:
         hint = "transpose it" if transposed else "the last row belongs to a rigid motion"
         raise RigError(f"{where}.T_base_cam: expected the last row [0, 0, 0, 1], found {_text(T[3])}; {hint}")
     R = T[:3, :3]
-    deviation = float(np.abs(R @ R.T - np.eye(3)).max())
-    if deviation > ROTATION_TOLERANCE:
+    with np.errstate(over="ignore", invalid="ignore"):
+        deviation = float(np.abs(R @ R.T - np.eye(3)).max())
+    if not deviation <= ROTATION_TOLERANCE:
         raise RigError(
             f"{where}.T_base_cam: expected orthonormal rotation columns, found R R^T off the identity by "
             f"{deviation:.3g}; {_rotation_hint(R)}"
@@ -182,6 +186,7 @@ def aims_off(poses: Float) -> float:
     return float(np.arccos(np.clip(cosines, -1, 1)).max())
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _rotation_hint(R: Float) -> str:
     scales = np.linalg.norm(R, axis=0)
     if np.allclose(scales, scales[0], rtol=1e-3) and np.allclose(R.T @ R, np.eye(3) * scales[0] ** 2, atol=1e-3):
@@ -190,4 +195,7 @@ def _rotation_hint(R: Float) -> str:
 
 
 def _text(a: Float) -> str:
-    return str(np.round(a, 6).tolist())
+    """Numbers for a user; those that would leave floating point if they were rounded stay as they are."""
+    return str(
+        np.where(np.abs(a) < LARGEST_ROUNDED, np.round(np.clip(a, -LARGEST_ROUNDED, LARGEST_ROUNDED), 6), a).tolist()
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -206,10 +207,9 @@ def _pose(fields: Fields) -> Float64:
     parts = fields.table("T_base_cam")
     parts.only("translation", "quaternion")
     quat = parts.array("quaternion", (4,))
-    if abs(float(np.linalg.norm(quat)) - 1) > 1e-3:
-        raise RigError(
-            f"{parts.where}.quaternion: expected [w, x, y, z] of length 1, found length {np.linalg.norm(quat):.4g}"
-        )
+    length = math.hypot(*quat)
+    if abs(length - 1) > 1e-3:
+        raise RigError(f"{parts.where}.quaternion: expected [w, x, y, z] of length 1, found length {length:.4g}")
     return pose(rotation_from_quat(quat), parts.array("translation", (3,)))
 
 

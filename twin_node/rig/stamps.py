@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.errors import kind_of, reason
+from twin_node.errors import kind_of, reason, repeated
 from twin_node.rig.errors import RigError
 
 UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -128,4 +128,4 @@ def _number(source: StampsFile, value: object) -> float:
     try:
         return int(str(value)) if str(value).strip().lstrip("-").isdigit() else float(str(value))
     except ValueError as error:
-        raise RigError(f"{source.path}: expected a number as a stamp, found {value!r}") from error
+        raise RigError(f"{source.path}: expected a number as a stamp, found {repeated(value)}") from error

@@ -8,7 +8,7 @@ import difflib
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.errors import kind_of, told
+from twin_node.errors import kind_of, repeated, told
 from twin_node.rig.errors import RigError
 
 LARGEST = float(np.finfo(np.float64).max)
@@ -93,12 +93,12 @@ class Fields:
         try:
             array = np.array(value, dtype=np.float64)
         except (ValueError, TypeError, OverflowError) as error:
-            raise RigError(f"{self.where}.{key}: expected {expected}, found {value!r}") from error
+            raise RigError(f"{self.where}.{key}: expected {expected}, found {repeated(value)}") from error
         if array.ndim != 1 if shape is None else array.shape != shape:
             found = "x".join(map(str, array.shape)) or "one number"
             raise RigError(f"{self.where}.{key}: expected {expected}, found {found}")
         if not np.isfinite(array).all():
-            raise RigError(f"{self.where}.{key}: expected finite numbers, found {value!r}")
+            raise RigError(f"{self.where}.{key}: expected finite numbers, found {repeated(value)}")
         return array
 
     def list_of(self, key: str) -> NDArray[np.float64]:
