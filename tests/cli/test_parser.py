@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from twin_node.cli import main
-from twin_node.cli.arguments import file_to_write
+from twin_node.cli.arguments import file_to_write, finite
 from twin_node.cli.parser import Parser, with_home
 
 
@@ -25,6 +25,17 @@ def test_arguments_stand_anywhere_between_options() -> None:
     for wrong in (["launch", "-p", "x"], ["launch", "a.yaml", "--nope"], ["nope"]):
         with pytest.raises(SystemExit):
             parser.parse_args(wrong)
+
+
+def test_numbers_below_zero_are_numbers_however_they_are_written(capsys: pytest.CaptureFixture[str]) -> None:
+    """argparse took those with an exponent for options, and said how many numbers it expected."""
+    parser = Parser()
+    parser.add_argument("--move", type=finite, nargs=3)
+    assert parser.parse_args(["--move", "-1e-3", "-.5", "-5."]).move == [-1e-3, -0.5, -5.0]
+    for wrong in ("-inf", "-nan", "-1e400"):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["--move", "0", wrong, "0"])
+        assert f"argument --move: {wrong}: expected a finite number" in capsys.readouterr().err
 
 
 def test_paths_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,11 @@ class Parser(argparse.ArgumentParser):
     """Takes a command's arguments before, after and between its options: `render TWIN -o FILM LOG`."""
 
     _is_within = False
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # argparse takes -1e-3, -5. and -inf for options, of which it knows none.
+        self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)")
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
