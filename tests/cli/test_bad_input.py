@@ -131,7 +131,7 @@ def test_the_log_is_never_its_own_output(
     before = log.read_bytes()
     assert main(["replay", str(log), "-o", str(log), "--lockstep"]) == 2
     assert log.read_bytes() == before
-    assert "expected another file than the log" in capfd.readouterr().err
+    assert "expected another file than the one that is read" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

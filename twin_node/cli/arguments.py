@@ -193,6 +193,12 @@ def check_output(path: Path, *suffixes: str) -> None:
     refuse_taken(path, TwinError)
 
 
+def refuse_same(output: Path, source: Path) -> None:
+    """Raises `TwinError` where -o would take the place of what is read."""
+    if output.resolve() == source.resolve():
+        raise TwinError(f"-o {output}: expected another file than the one that is read; choose a new name")
+
+
 _WRITABLE = "expected the name of a file in a folder that exists and can be written to"
 
 

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_source_options, check_output, refuse_given, whole, with_source_options
+from twin_node.cli.arguments import (
+    add_source_options,
+    check_output,
+    refuse_given,
+    refuse_same,
+    whole,
+    with_source_options,
+)
 from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
@@ -38,8 +45,7 @@ def _bake(options: argparse.Namespace) -> None:
     from twin_node.model.sequence import SUFFIX, bake_model, check_size, load_checkpoint, save_baked
 
     check_output(options.output, SUFFIX)
-    if options.output.resolve() == options.source.resolve():
-        raise TwinError(f"-o {options.output}: expected another file than the one that is read; choose a new name")
+    refuse_same(options.output, options.source)
     model = None
     if options.source.suffix == SUFFIX:
         why = f"expected with a log; {options.source} is a checkpoint, which has its times and cameras"

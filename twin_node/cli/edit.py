@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import check_output, finite, not_negative
+from twin_node.cli.arguments import check_output, finite, not_negative, refuse_same
 from twin_node.errors import TwinError
 from twin_node.ranges import within_s
 
@@ -35,6 +35,10 @@ def _edit(options: argparse.Namespace) -> None:
     from twin_node.model.sequence import SUFFIX, Edit, edited, load_checkpoint, write_checkpoint
 
     check_output(options.output, SUFFIX)
+    refuse_same(options.output, options.model)
+    lower, upper = options.box[:3], options.box[3:]
+    if any(low > high for low, high in zip(lower, upper, strict=True)):
+        raise TwinError(f"--box: expected its lower corner first, found {lower} and then {upper}; swap what is higher")
     if options.remove == bool(options.move or options.colour):
         raise TwinError("edit: expected --remove, or --move and --colour, or one of these; say what is to be done")
     if options.colour and not all(0 <= value <= 1 for value in options.colour):
@@ -45,8 +49,8 @@ def _edit(options: argparse.Namespace) -> None:
     if options.at > length:
         raise TwinError(f"--at {options.at:g}: expected a time inside the model's {within_s(length)}")
     edit = Edit(
-        tuple(options.box[:3]),
-        tuple(options.box[3:]),
+        tuple(lower),
+        tuple(upper),
         span.first + round(options.at * 1e9),
         options.remove,
         tuple(options.move or (0.0, 0.0, 0.0)),

@@ -17,6 +17,7 @@ from twin_node.cli.arguments import (
     port,
     positive,
     refuse_given,
+    refuse_same,
     speed,
     with_source_options,
 )
@@ -71,7 +72,8 @@ def _replay(options: argparse.Namespace) -> None:
     from twin_node.nodes.topics import parse_remaps
 
     parameters = with_source_options(load_parameters(options.params), options)
-    _check_output(options.output, options.log)
+    if options.output is not None:
+        refuse_same(options.output, options.log)
     _check_report(options.report, options.output)
     _check_size(options)
     session = _open_session(options, parse_remaps(options.remap))
@@ -169,11 +171,6 @@ def _sized(session: LogSession, parameters: ChainParameters, options: argparse.N
     )
     print(f"twin_node: {choice.reason}", file=sys.stderr)
     return at_size(parameters, choice.size)
-
-
-def _check_output(output: Path | None, log: Path) -> None:
-    if output is not None and output.resolve() == log.resolve():
-        raise TwinError(f"-o {output}: expected another file than the log that is read; choose a new name")
 
 
 def _check_report(folder: Path | None, output: Path | None) -> None:

@@ -16,6 +16,7 @@ from twin_node.model.ply import SH_C0
 from twin_node.model.sequence import Checkpoint, Trainer, load_checkpoint, save_checkpoint
 
 RECORDING = block_recording()
+EVERYWHERE = ("-99", "-99", "-99", "99", "99", "99")
 TIMES = tuple(one.stamp for one in RECORDING.sets())
 
 
@@ -105,8 +106,13 @@ def test_an_edited_model_is_not_trained_on(checkpoint: Checkpoint, tmp_path: Pat
         ([], "expected --remove, or --move and --colour"),
         (["--colour", "255", "0", "0"], "--colour: expected values from 0 to 1"),
         (["--remove", "--at", "99"], "--at 99: expected a time inside the model's 0 to"),
+        (["--remove", "--box", *"003002"], "--box: expected its lower corner first, found [0.0, 0.0, 3.0] and then [0"),
+        (
+            ["--move", "1e300", "0", "0", "--box", *EVERYWHERE],
+            "expected a move to where float32 reaches, found (1e+300",
+        ),
         (["--remove"], "expected Gaussians in the box, found none; they are from ("),
-        (["--remove", "--box", *["-99", "-99", "-99", "99", "99", "99"]], "expected some Gaussians outside of the box"),
+        (["--remove", "--box", *EVERYWHERE], "expected some Gaussians outside of the box"),
     ],
 )
 def test_what_cannot_be_edited_is_named(
@@ -116,3 +122,13 @@ def test_what_cannot_be_edited_is_named(
     far = ["--box", *["50", "50", "50", "51", "51", "51"]]
     assert says in refused("edit", checkpoint.path, "-o", out, *far, *arguments)
     assert not out.exists()
+
+
+def test_a_model_is_never_its_own_output(checkpoint: Checkpoint, tmp_path: Path, refused: Callable[..., str]) -> None:
+    """What it could be trained on with was gone then."""
+    whole, link = checkpoint.path.read_bytes(), tmp_path / "link.safetensors"
+    link.symlink_to(checkpoint.path)
+    for out in (checkpoint.path, link):
+        told = refused("edit", checkpoint.path, "-o", out, "--box", *EVERYWHERE, "--colour", "0", "0", "0")
+        assert "expected another file than the one that is read" in told
+    assert checkpoint.path.read_bytes() == whole

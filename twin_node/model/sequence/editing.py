@@ -36,7 +36,7 @@ class Edit:
 def edited(checkpoint: Checkpoint, edit: Edit, path: Path) -> Checkpoint:
     """The checkpoint after an edit, to be written to `path`; it can be edited again, and not be trained on.
 
-    Raises `ModelError` where no Gaussian is in the box, and where none would be left.
+    Raises `ModelError` where no Gaussian is in the box, where none would be left, and where they would be nowhere.
     """
     with torch.no_grad():
         means = checkpoint.model.at([edit.stamp]).means[0]
@@ -45,6 +45,8 @@ def edited(checkpoint: Checkpoint, edit: Edit, path: Path) -> Checkpoint:
     tensors = {name: value for name, value in checkpoint.tensors.items() if not name.startswith(OF_TRAINING)}
     tensors.setdefault(HOMES, tensors["gaussians.means"])
     tensors["gaussians.means"] = tensors["gaussians.means"] + chosen[:, None] * torch.tensor(edit.move)
+    if not tensors["gaussians.means"].isfinite().all():
+        raise ModelError(f"{checkpoint.path}: expected a move to where float32 reaches, found {edit.move} m")
     if edit.rgb is not None:
         tensors["gaussians.sh"] = _recoloured(tensors["gaussians.sh"], chosen, torch.tensor(edit.rgb))
     if edit.is_removed:
