@@ -62,5 +62,8 @@ def told(value: object) -> str:
 
 def repeated(value: object) -> str:
     """A value in a file itself, cut short where it is longer than anybody reads."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # in hexadecimal, numbers may be longer than Python says in decimal
+        return "a number of thousands of digits"
     return text if len(text) <= MOST_SIGNS else f"{text[:MOST_SIGNS]} ..."

@@ -25,7 +25,8 @@ def test_positions_follow_the_channels_in_their_order(tmp_path: Path) -> None:
 
 
 def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
-    for text in (ONE_ARM.replace("OFFSET 5 0 0", "OFFSET 5 nan 0"), ONE_ARM.replace("1 80 0 90", "1 inf 0 90")):
+    for right, wrong in (("OFFSET 5 0 0", "OFFSET 5 nan 0"), ("1 80 0 90", "1 inf 0 90"), ("1 80 0 90", "1 80 0 nan")):
+        text = ONE_ARM.replace(right, wrong)
         with pytest.raises(BagError, match=r"motion\.bvh: expected finite numbers"):
             read_clip(written(tmp_path, text))
 

@@ -55,7 +55,8 @@ def read_clip(path: Path) -> BvhClip:
     lines = read_lines(path)
     joints, motion = _skeleton(path, lines)
     values, step = _motion(path, lines, motion, sum(len(joint.channels) for joint in joints))
-    positions = _positions(joints, values)
+    # Angles that are none have no rotation, and would not come as far as positions.
+    positions = _positions(joints, values) if np.isfinite(values).all() else values
     if not np.isfinite(positions).all():
         raise BagError(f"{path}: expected finite numbers, found NaN or infinity; record or export the motion again")
     return BvhClip(tuple(joints), step, positions)
@@ -68,8 +69,9 @@ def read_bvh(path: Path, height_m: float) -> Trajectories:
     assumed. Raises `BagError` naming the file and the line for what is no BVH.
     """
     clip = read_clip(path)
-    extent = float(np.median(np.ptp(clip.positions[:, :, 1], axis=1)))
-    if not extent > 0:
+    with np.errstate(over="ignore"):
+        extent = float(np.median(np.ptp(clip.positions[:, :, 1], axis=1)))
+    if not 0 < extent < np.inf:
         raise BagError(f"{path}: expected a skeleton with a height (y up), found one of height {extent}")
     chosen = [row for row, joint in enumerate(clip.joints) if not joint.is_end]
     names = tuple(clip.joints[row].name for row in chosen)

@@ -123,6 +123,12 @@ def _resave(path: Path, **changes: str) -> None:
     save_file(load_file(path), path, {**metadata, **changes})
 
 
+def _header(path: Path) -> str:
+    with safe_open(path, framework="pt") as file:
+        header: str = file.metadata()["header"]
+    return header
+
+
 DAMAGE: list[tuple[Callable[[Path], object], str]] = [
     (lambda path: path.unlink(), "no file"),
     (lambda path: path.write_bytes(b"something else"), "safetensors"),
@@ -131,6 +137,11 @@ DAMAGE: list[tuple[Callable[[Path], object], str]] = [
     (lambda path: _resave(path, version="99"), "version 1"),
     (lambda path: _resave(path, header="{}"), "header"),
     (lambda path: _resave(path, header="{"), "header"),
+    (lambda path: _resave(path, header=_header(path).replace('"stamps": [', '"stamps": [1e400, ')), "header"),
+    (
+        lambda path: _resave(path, header=_header(path).replace('"background": [', f'"background": [{10**400}, ')),
+        "head",
+    ),
 ]
 
 

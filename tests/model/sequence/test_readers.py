@@ -160,6 +160,17 @@ def _save_poses(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], 
     return spoil
 
 
+def _damage_poses(shape: bytes) -> Callable[[Path], None]:
+    """Another shape in the header, at whose end are spaces."""
+
+    def spoil(folder: Path) -> None:
+        content = (folder / "poses_bounds.npy").read_bytes()
+        head = content[:128].replace(b"(3, 17)", shape).rstrip().ljust(127)
+        (folder / "poses_bounds.npy").write_bytes(head + b"\n" + content[128:])
+
+    return spoil
+
+
 def _save_archive(folder: Path) -> None:
     with (folder / "poses_bounds.npy").open("wb") as file:
         np.savez(file, rows=np.zeros((3, 17)))
@@ -169,6 +180,9 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("neural_video", lambda f: (f / "poses_bounds.npy").write_bytes(b"nothing"), "NumPy array"),
     ("neural_video", lambda f: (f / "poses_bounds.npy").write_bytes(b""), "NumPy array"),
     ("neural_video", _save_archive, "NumPy array"),
+    *(("neural_video", _damage_poses(shape), "NumPy array") for shape in (b"(3, 17", b"(" + 15 * b"9" + b", 17)")),
+    ("neural_video", _damage_poses(b"(" + 30 * b"9" + b", 17)"), "NumPy array"),
+    ("neural_video", _save_poses(lambda rows: np.where(rows > 0, 1e300, rows)), "no pose"),
     ("neural_video", _save_poses(lambda rows: rows[:0]), r"\[cameras, 17\], found float64 \[0, 17\]"),
     ("neural_video", _save_poses(lambda rows: rows[:, :15]), r"\[cameras, 17\]"),
     ("neural_video", _save_poses(lambda rows: rows[:2]), "2 rows and 3 videos"),
@@ -183,6 +197,7 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("dnerf", _change("transforms_train.json", _in_frame(time=10**400)), "'time' in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(time=-1e300)), "'time' from -2e[+]09 to 2e[+]09 in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[[1, 2]])), "4 x 4"),
+    ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[[1e300] * 4] * 4)), "holds no rotation"),
     ("dnerf", _change("transforms_train.json", _in_frame(transform_matrix=[4 * [10**400]] * 4)), "4 x 4"),
     (
         "dnerf",
@@ -215,6 +230,7 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
 ]
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize(("name", "spoil", "says"), WRONG)
 def test_wrong_data_is_named(
     copied: Callable[[str], Path], name: str, spoil: Callable[[Path], object], says: str

@@ -96,6 +96,13 @@ def test_what_no_board_file_holds_is_named(tmp_path: Path, text: str, told: str)
         find_board(tmp_path)
 
 
+@pytest.mark.parametrize(("columns", "told"), [(5000 * "9", "digits"), (5000 * "[", "too many levels")])
+def test_what_toml_cannot_hold_is_one_error(tmp_path: Path, columns: str, told: str) -> None:
+    (tmp_path / "charuco.toml").write_text(f"columns = {columns}\n")
+    with pytest.raises(RigError, match=rf"charuco\.toml: expected a board file \(TOML\), found .*{told}"):
+        find_board(tmp_path)
+
+
 def test_a_place_without_a_board_file_is_named(tmp_path: Path) -> None:
     for place, found in ((tmp_path / "none", "found none"), (Path(__file__), "found a file")):
         with pytest.raises(RigError, match=rf"expected a folder of recordings of a board, {found}"):

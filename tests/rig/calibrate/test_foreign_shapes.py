@@ -207,6 +207,9 @@ TABLE = (
     [
         ("640, 480", "640.5, 480", r"cam_0\.size: expected \[width, height\] in whole pixels"),
         ("rotation = [0, 0, 0]", "rotation = [nan, 0, 0]", r"cam_0\.rotation: expected finite numbers"),
+        ("rotation = [0, 0, 0]", f"rotation = {5000 * '9'}", "expected a calibration in TOML, found"),
+        ("rotation = [0, 0, 0]", f"rotation = {5000 * '['}", "expected a calibration in TOML, found: too many levels"),
+        ("rotation = [0, 0, 0]", f"rotation = 0x{5000 * 'f'}", "rotation: expected .* found a number of thousands"),
         ("rotation = [0, 0, 0]", "rotation = [[1, 0], [0, 1]]", r"cam_0\.rotation: expected 3x3 numbers, found 2x2"),
     ],
 )

@@ -275,7 +275,7 @@ def load_baked(path: Path) -> Baked:
             colour_from_record(header["background"]),
             tuple(camera_from_record(record) for record in header["cameras"]),
         )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the header of the buffers is damaged ({error}); bake again") from None
     if not baked.is_whole:
         raise ModelError(f"{path}: the buffers are not those of their header; bake again")

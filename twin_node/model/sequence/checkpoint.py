@@ -237,7 +237,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             tuple(camera_from_record(record) for record in header["cameras"]),
             int(header["images"]),
         )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: the checkpoint's header is damaged ({error}); train again") from None
     checkpoint = Checkpoint(path, parsed, file.tensors)
     try:

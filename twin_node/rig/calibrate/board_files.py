@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin_node.errors import reason
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, dictionary_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields
@@ -117,8 +118,8 @@ def _from_file(path: Path) -> Board:
 def _toml(path: Path) -> object:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RigError(f"{path}: expected a board file (TOML), found {' '.join(str(error).split())}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise RigError(f"{path}: expected a board file (TOML), found {reason(error)}") from error
 
 
 def _own(fields: Fields) -> Board:

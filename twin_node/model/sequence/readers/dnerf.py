@@ -169,7 +169,9 @@ def _matrix(frame: dict[str, Any], path: Path, index: int) -> Float64:
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ModelError(f"{path}: expected a 'transform_matrix' of 4 x 4 numbers in frame {index}")
-    if np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max() > 1e-2:
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max()
+    if not off <= 1e-2:
         raise ModelError(f"{path}: the 'transform_matrix' of frame {index} holds no rotation; remove its scale")
     if np.linalg.det(matrix[:3, :3]) < 0:
         raise ModelError(f"{path}: the 'transform_matrix' of frame {index} is mirrored; turn one of its axes about")

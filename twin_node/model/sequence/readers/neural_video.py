@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from tokenize import TokenError
 
 import cv2
 import numpy as np
@@ -53,7 +54,7 @@ def _load_poses(path: Path) -> Float64:
     try:
         with path.open("rb") as file:
             rows: Float64 = np.lib.format.read_array(file, allow_pickle=False)
-    except (OSError, ValueError):
+    except (OSError, ValueError, MemoryError, OverflowError, TokenError):  # the last three of damaged headers
         raise ModelError(f"{path}: expected a NumPy array, found another kind of file; take it from LLFF") from None
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f" or not len(rows) or not np.isfinite(rows).all():
         raise ModelError(
@@ -66,7 +67,8 @@ def _read_video(path: Path, row: Float64, options: ReadOptions) -> Iterator[View
     """The frames of one camera; `row` [17] holds [3, 5] of axes down, right, back, position, (height, width, focal)."""
     matrix = row[:15].reshape(3, 5)
     rotation = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2]], axis=1)
-    turns = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-3 and np.linalg.det(rotation) > 0
+    with np.errstate(over="ignore", invalid="ignore"):
+        turns = np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-3 and np.linalg.det(rotation) > 0
     if not turns or (matrix[:, 4] <= 0).any():
         raise ModelError(f"{path.parent / POSES}: the row of {path.name} is no pose with a focal length; rerun LLFF")
     height, width, focal = matrix[:, 4]

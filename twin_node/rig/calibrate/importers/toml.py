@@ -20,7 +20,7 @@ def import_toml(path: Path, unit: float = 1.0) -> RigFile:
     """Tables `[cam_0]` (anipose, Pose2Sim) or `[cameras.0]` (caliscope); `rotation` is a vector or a matrix."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RigError(f"{path}: expected a calibration in TOML, found: {reason(error)}") from error
     tables = {**data, **{f"cam_{key}": value for key, value in _table(data.get("cameras")).items()}}
     cameras = [
