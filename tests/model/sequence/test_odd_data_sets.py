@@ -106,6 +106,23 @@ def test_images_of_floats_are_refused(copied: Copied) -> None:
         read_folder(folder, ReadOptions())
 
 
+@pytest.mark.parametrize("content", [b"v/1\x01\2\0\0\0", b"P5 99999 99999 255 "])
+def test_images_that_opencv_does_not_begin_to_read_are_named(copied: Copied, content: bytes) -> None:
+    """EXR, which it has switched off, and more pixels than it takes: it raises errors of its own."""
+    folder = copied("colmap")
+    path = folder / "images" / "cam1" / "0002.png"
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"0002\.png: expected an image \(PNG or JPEG\), found another kind of file"):
+        read_folder(folder, ReadOptions())
+
+
+def test_hidden_files_beside_images_are_none(copied: Copied) -> None:
+    """As macOS leaves them beside what it copies."""
+    folder = copied("colmap")
+    (folder / "images" / "cam1" / "._0001.png").write_bytes(b"\0\5\x16\7")
+    assert read_folder(folder, ReadOptions()).steps == FRAMES
+
+
 def change_model(folder: Path, name: str, change: Callable[[list[str]], list[str]]) -> None:
     """A file of a model in text, the fields of its lines changed."""
     path = folder / "sparse" / "0" / name

@@ -15,6 +15,7 @@ import numpy as np
 
 from twin_node.errors import kind_of
 from twin_node.geometry import pose, rotation_from_quat
+from twin_node.picture_files import read_picture
 from twin_node.rig.calibrate.board_files import checked, whole
 from twin_node.rig.calibrate.boards import Board, CircleGrid
 from twin_node.rig.calibrate.hand_eye import HandEyeView
@@ -145,7 +146,7 @@ def _pose(fields: Fields) -> Float64:
 
 
 def _grey(path: Path) -> UInt8:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image = read_picture(path, cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise RigError(f"{path}: expected a picture, found a file that cannot be read as one; check the path")
     return np.asarray(image, dtype=np.uint8)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.picture_files import listed, read_picture
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.intrinsics import BoardView
 from twin_node.rig.calibrate.lenses import lens_of
@@ -100,7 +101,7 @@ def pictures_of(paths: Sequence[Path], every: int) -> Iterator[Picture]:
     """
     for path in paths:
         if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES)
+            inside = [p for p in listed(path) if p.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES]
             yield from pictures_of(inside, every)
         elif path.suffix.lower() in VIDEO_SUFFIXES:
             yield from _frames(path, every)
@@ -118,7 +119,7 @@ def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress 
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: expected a folder of videos or images, found none; check the path")
-    videos = sorted(p for p in folder.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
+    videos = [p for p in listed(folder) if p.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         return [_video_camera(path, number, board, every, progress) for number, path in enumerate(videos)]
     stills = _stills(folder)
@@ -188,13 +189,13 @@ def _video_stamps(path: Path, number: int) -> NDArray[np.int64]:
 def _stills(folder: Path) -> dict[str, dict[int, Path]]:
     """Images by camera and number, or place among all times that images are named by."""
     cameras: dict[str, dict[int, Path]] = {}
-    inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
-    for path in sorted(folder.iterdir()):
+    inner = [path for path in listed(folder) if path.is_dir()]
+    for path in listed(folder):
         match = re.fullmatch(rf"(.*?)[_-]?({SECONDS}|\d+)", path.stem)
         if path.suffix.lower() in IMAGE_SUFFIXES and match and match.group(1):
             _add_still(cameras.setdefault(match.group(1), {}), match.group(2), path)
     for directory in inner:
-        for path in sorted(directory.iterdir()):
+        for path in listed(directory):
             number = re.search(rf"({SECONDS}|\d+)$", path.stem)
             if path.suffix.lower() in IMAGE_SUFFIXES and number:
                 _add_still(cameras.setdefault(directory.name, {}), number.group(), path)
@@ -236,14 +237,16 @@ def _frames(path: Path, every: int) -> Iterator[Picture]:
     number = 0
     while video.grab():
         if number % every == 0:
-            _, image = video.retrieve()
+            decoded, image = video.retrieve()
+            if not decoded:
+                raise RigError(f"{path}: expected frames that can be decoded, found none at {number}; copy it again")
             yield Picture(f"{path.name} frame {number}", np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
         number += 1
     video.release()
 
 
 def _image(path: Path) -> Picture:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+    image = read_picture(path, cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     if image is None:
         raise RigError(f"{path}: expected an image or a video, found nothing that can be read; check the path")
     return Picture(path.name, np.asarray(image, np.uint8))

@@ -21,6 +21,7 @@ from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.readers.colmap_files import check_whole
 from twin_node.model.sequence.readers.options import NO_PINHOLE, ReadOptions, load_image, scaled_intrinsics, shrunk
 from twin_node.model.sequence.recording import ColouredPoints, Recording, in_order, split, that_fit
+from twin_node.picture_files import listed
 from twin_node.scene import Camera, Float64, View
 
 MODELS = ("sparse/0", "sparse_", "sparse")
@@ -97,7 +98,7 @@ def _files(folder: Path, image: Any) -> list[Path]:
     places = list(dict.fromkeys(root / own for own in (path.parent, name) for root in (folder / "images", folder)))
     for place in places:
         own = place.name == name and place.is_dir()
-        files = [file for file in place.iterdir() if file.suffix.lower() in IMAGES] if own else []
+        files = [file for file in listed(place) if file.suffix.lower() in IMAGES] if own else []
         if files:
             return sorted(files, key=_in_time)
     looked = " or ".join(str(place) for place in places if place.name == name)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from twin_node.model.parameters import ModelError
+from twin_node.picture_files import read_picture
 from twin_node.scene import Float64, UInt8
 
 NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
@@ -31,7 +32,7 @@ class ReadOptions:
 
 def load_image(path: Path) -> UInt8:
     """[H, W, 3 or 4] red, green, blue and, where the file has it, alpha. Raises `ModelError` naming the file."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    image = read_picture(path, cv2.IMREAD_UNCHANGED)
     if image is None:
         found = "another kind of file" if path.is_file() else "no file"
         raise ModelError(f"{path}: expected an image (PNG or JPEG), found {found}; complete the data set")
