@@ -26,6 +26,7 @@ from twin_node.model.sequence import (
     bake_clouds,
     bake_model,
     baking,
+    check_size,
     load_baked,
     load_checkpoint,
     save_baked,
@@ -331,6 +332,15 @@ def test_more_than_fits_is_not_baked(trained: Trainer, monkeypatch: pytest.Monke
     bake_model(trained.model, [0, 1], ())
     with pytest.raises(ModelError, match="3 steps"):
         bake_model(trained.model, [0, 1, 2], ())
+
+
+@pytest.mark.parametrize("steps", [10**6 + 1, 10**308])
+def test_more_steps_than_a_header_holds_are_refused(trained: Trainer, steps: int) -> None:
+    """Of a model that stands still, which takes no more room for them, they went on without end."""
+    still = replace(trained.model, field=None)
+    check_size(still, 10**6)
+    with pytest.raises(ModelError, match=r"bake: expected at most 1000000 steps, found 10+1?(0| [.]{3})?; take fewer"):
+        check_size(still, steps)
 
 
 def test_nothing_to_bake_is_said(trained: Trainer) -> None:

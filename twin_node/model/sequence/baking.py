@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from twin_node import splat
+from twin_node.errors import repeated
 from twin_node.model.parameters import ModelError
 from twin_node.model.ply import SH_C0, StoredGaussians
 from twin_node.model.sequence.recording import nearest
@@ -33,6 +34,8 @@ BATCH = 16
 """Time steps evaluated at once: what bounds the memory that baking takes beside its result."""
 CLOUD_BYTES = 4 * (3 + 4 + 3 + 1 + 3)
 """Of a Gaussian of a published cloud: mean, quaternion, scale, opacity, colour."""
+MOST_STEPS = 1_000_000
+"""Their stamps and counts stand in the header: safetensors reads none of over 100 MB, and a step takes 30 bytes."""
 MOST_BYTES = 8 * 2**30
 """Of buffers: baking holds them twice while it joins them."""
 
@@ -164,7 +167,9 @@ def bake_model(model: SequenceModel, stamps: Sequence[int], cameras: tuple[Camer
 
 
 def check_size(model: SequenceModel, steps: int) -> None:
-    """Raises `ModelError` where so many steps of a model that moves are more than `MOST_BYTES`."""
+    """Raises `ModelError` for more than `MOST_STEPS`, or where those of a model that moves are over `MOST_BYTES`."""
+    if steps > MOST_STEPS:
+        raise ModelError(f"bake: expected at most {MOST_STEPS} steps, found {repeated(steps)}; take fewer")
     moved = (model.gaussians.means, model.gaussians.quats, model.gaussians.log_scales)
     _check_bytes(steps if model.field is not None else 1, len(model.gaussians), sum(one[0].nbytes for one in moved))
 
