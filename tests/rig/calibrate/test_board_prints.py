@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 from pathlib import Path
 
 import cv2
@@ -110,3 +111,16 @@ def test_a_page_to_print_has_its_size_in_its_file(board: Board, tmp_path: Path) 
     for found in (told, box):
         assert found is not None
         np.testing.assert_allclose([float(n) for n in found.groups()], in_points, atol=0.01)
+
+
+@pytest.mark.parametrize("suffix", [".pdf", ".svg", ".png"])
+def test_a_page_that_does_not_fit_is_one_error(tmp_path: Path, suffix: str) -> None:
+    """Matplotlib ended in an error of its own while it closed half a PDF."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, hard))
+    try:
+        with pytest.raises(RigError, match=rf"board\{suffix}: cannot be written \(File too large\)"):
+            print_board(BOARDS[0], tmp_path / f"board{suffix}")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())

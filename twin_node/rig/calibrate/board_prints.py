@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from functools import singledispatch
 from pathlib import Path
@@ -154,9 +155,11 @@ def print_board(board: Board, path: Path) -> BoardPrint:
     axes.axis("off")
     _draw(axes, drawing)
     _caption(axes, board, drawing)
-    form = path.suffix.lower()
-    with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}), whole_file(path, RigError) as partial:
-        figure.savefig(partial, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
+    form, page = path.suffix.lower(), io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}):
+        figure.savefig(page, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
+    with whole_file(path, RigError) as partial:  # on a full disk Matplotlib would trip over its own PDF
+        partial.write_bytes(page.getbuffer())
     return drawing
 
 
