@@ -193,6 +193,7 @@ WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("dnerf", lambda f: (f / "transforms_train.json").write_text("[" * 100_000), "expected JSON, .*too many levels"),
     ("dnerf", _change("transforms_train.json", _without("frames")), "'frames'"),
     ("dnerf", _change("transforms_train.json", _without("camera_angle_x")), "camera_angle_x"),
+    ("dnerf", _change("transforms_train.json", lambda c: c | {"fl_x": 1e300}), "float32 holds of camera train_000"),
     ("dnerf", _change("transforms_train.json", _in_frame(time="soon")), "'time' in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(time=10**400)), "'time' in frame 1"),
     ("dnerf", _change("transforms_train.json", _in_frame(time=-1e300)), "'time' from -2e[+]09 to 2e[+]09 in frame 1"),

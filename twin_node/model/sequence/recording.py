@@ -55,7 +55,12 @@ class Recording:
     def __post_init__(self) -> None:
         if not self.train:
             raise ModelError(f"{self.name}: expected images to train on, found none; check --hold-out and --frames")
-
+        for camera in {id(view.camera): view.camera for view in (*self.train, *self.held_out)}.values():
+            if not _is_float32(camera.K):
+                raise ModelError(
+                    f"{self.name}: expected intrinsics that float32 holds of camera {camera.name}, found "
+                    f"{camera.K.tolist()}; calibrate it again"
+                )
         points = self.points
         if points is not None and not (_is_float32(points.positions) and _is_float32(points.rgb)):
             raise ModelError(f"{self.name}: expected points of finite positions and colours; remove those that are not")
