@@ -116,6 +116,11 @@ MISTAKES = {
     "ragged K": (lambda d, c: c.update(K=[[1], [2, 3]]), r"left.*\.K: expected 3x3 numbers"),
     "NaN in K": (lambda d, c: c["K"][0].__setitem__(2, float("nan")), r"left.*\.K: expected finite numbers"),
     "negative focal length": (lambda d, c: c["K"][0].__setitem__(0, -300.0), r"left.*\.K: expected .* fx, fy > 0"),
+    "K in shares of the width": (
+        lambda d, c: c.update(K=[[1.1, 0, 0.5], [0, 1.1, 0.5], [0, 0, 1]]),
+        r"left.*\.K: expected focal lengths from 6\.4 to 320000 px .* found 1\.1 and 1\.1; write .* in pixels",
+    ),
+    "endless focal length": (lambda d, c: c["K"][1].__setitem__(1, 1e300), r"left.*\.K: .* focal lengths .*1e\+300"),
     "transposed K": (lambda d, c: c.update(K=np.transpose(K).tolist()), r"left.*\.K: .*transpose it"),
     "K of another resolution": (lambda d, c: c.update(size=[150, 110]), r"left.*\.K: .*resolution \(about 319x239\)"),
     "size": (lambda d, c: c.update(size=[0, 240]), r"left.*\.size: expected \[width, height\] in whole pixels"),

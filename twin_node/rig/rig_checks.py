@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose
+from twin_node.ranges import Range
 from twin_node.rig.errors import RigError
 from twin_node.rig.workspace import axes_focus, axes_spread
 from twin_node.scene import Rig
@@ -20,6 +21,9 @@ MOST_PX = 32_767
 
 MOST_SKEW_PX = 0.5
 """Skew that moves no pixel by more than half of one is left out in silence."""
+
+FOCALS = Range(0.02, 1000.0)
+"""Focal lengths that a lens may have, in longer sides of its images: views from 176 degrees to a twentieth of one."""
 
 MAX_DISTANCE_M = 100.0
 """No camera of a robot cell is further from the base; beyond this a translation is taken for millimetres."""
@@ -84,6 +88,12 @@ def check_intrinsics(where: str, K: Float, size: tuple[int, int]) -> None:
         hint = "transpose it" if K[2, 0] > 0 and K[2, 1] > 0 else "write the intrinsics in pixels"
         raise RigError(
             f"{where}.K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, found {_text(K)}; {hint}"
+        )
+    side = max(size)
+    if not all(FOCALS.holds(float(focal) / side) for focal in (K[0, 0], K[1, 1])):
+        raise RigError(
+            f"{where}.K: expected focal lengths from {FOCALS.least * side:g} to {FOCALS.most * side:g} px of "
+            f"images {side} px long, found {K[0, 0]:g} and {K[1, 1]:g}; write the intrinsics in pixels"
         )
     if abs(K[0, 1]) > MOST_SKEW_PX:
         raise RigError(
