@@ -176,7 +176,8 @@ def test_wrong_baking_input(
         "bake", checkpoint, "-o", out, "--width", 64, "--rig", "rig.yaml"
     )
     assert "checkpoint" in refused("bake", cell_log(0.5), "-o", out, "--measure")
-    assert "8 GiB" in refused("bake", checkpoint, "-o", out, "--steps", 10**9)
+    assert "8 GiB" in refused("bake", checkpoint, "-o", out, "--steps", 10**6)
+    assert "at most 1000000 steps, found 1000000000" in refused("bake", checkpoint, "-o", out, "--steps", 10**9)
     assert "no file" in refused("bake", tmp_path / "gone.safetensors", "-o", out)
     assert not out.exists()
 
