@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.bag import LogReader
-from twin_node.messages import MessageError
+from twin_node.messages import MessageError, convert
 from twin_node.nodes.renaming import Renamed
 from twin_node.nodes.topics import (
     COMPRESSED,
@@ -20,6 +20,7 @@ from twin_node.nodes.topics import (
     info_beside,
     is_colour,
     path_of,
+    without_transport,
 )
 
 _OF_DEPTH = ("16UC1", "32FC1")
@@ -40,19 +41,35 @@ class LogCameras:
     found: tuple[CameraTopics, ...]
     """By name."""
     unused: tuple[str, ...]
-    """A line for each camera whose depth is left out, for want of colour images, or whose images are of a type that is
-    not read, and for each topic that holds neither."""
+    """A line for each camera whose depth is left out, for want of colour images or as JPEG, or whose images are of a
+    type that is not read, and for each topic that holds neither."""
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What a topic's first image says of all."""
+
+    encoding: str
+    """Of a raw image, or of depth that was compressed; empty: of other compressed ones, or damaged."""
+    is_coarse: bool
+    """Whether it is depth in JPEG."""
+
+
+_UNKNOWN = _Content("", False)
 
 
 def cameras_of(log: LogReader, names: Renamed) -> LogCameras:
     """The cameras of a log; raises `GraphError` where it has no colour image at all."""
-    encodings = {name: _encoding(log, names, name) for name in names.spoken}
+    images = [name for name, kind in names.spoken.items() if kind in IMAGE_TYPES]
+    contents = {name: _content(log, names, name) for name in images}
+    encodings = {name: contents.get(name, _UNKNOWN).encoding for name in names.spoken}
     neither = {
         name
         for name, found in encodings.items()
         if found in (*_OF_DEPTH, "mono16") and _OF_NEITHER.search(name) and names.original(name) == name
     }
-    spoken = {name: kind for name, kind in names.spoken.items() if name not in neither}
+    coarse = {name for name in images if contents[name].is_coarse}
+    spoken = {name: kind for name, kind in names.spoken.items() if name not in neither | coarse}
     measured = {name for name in spoken if encodings[name] in _OF_DEPTH or _is_unnamed_depth(name, spoken[name])}
     videos = {name: kind for name, kind in names.spoken.items() if kind in _NOT_READ and "depth" not in name}
     try:
@@ -66,7 +83,19 @@ def cameras_of(log: LogReader, names: Renamed) -> LogCameras:
     ]
     shown = {camera.name for camera in found}
     lines += [_unread(name, kind) for name, kind in videos.items() if camera_of(name) not in shown]
+    lines += _coarse(coarse, found)
     return LogCameras(found, (*lines, *_unused(spoken, names, found, measured)))
+
+
+def _coarse(topics: Collection[str], cameras: Sequence[CameraTopics]) -> Iterator[str]:
+    """A line for each topic of depth in JPEG that no other form of the same depth makes up for."""
+    read = {without_transport(camera.depth) for camera in cameras if camera.depth}
+    for name in sorted(topics):
+        if without_transport(name) not in read:
+            yield (
+                f"{name} is left out: it holds depth as JPEG, which keeps 8 of its 16 bits; record "
+                f"{without_transport(name)}/compressedDepth"
+            )
 
 
 def _unread(name: str, kind: str) -> str:
@@ -74,15 +103,19 @@ def _unread(name: str, kind: str) -> str:
     return f"{name} is left out: expected sensor_msgs/CompressedImage or Image, found {kind}; {to_do}"
 
 
-def _encoding(log: LogReader, names: Renamed, name: str) -> str | None:
-    """Of the first image of a topic, where its name does not say that it holds depth; None: of others, or damaged."""
-    if "depth" in name or names.spoken[name] != RAW:
-        return None
+def _content(log: LogReader, names: Renamed, name: str) -> _Content:
+    """Of a topic of images, by its first one; of a raw one whose name says depth, nothing."""
+    is_raw = names.spoken[name] == RAW
+    if is_raw and "depth" in name:
+        return _UNKNOWN
     first = next(log.messages([names.original(name)]), None)
     try:
-        return None if first is None else str(first.message.encoding)
+        encoding = "" if first is None else convert.source_encoding(first.message)
+        is_depth = encoding in _OF_DEPTH
+        is_coarse = first is not None and is_depth and convert.is_jpeg(first.message)
     except MessageError:  # who reads it tells
-        return None
+        return _UNKNOWN
+    return _Content(encoding if is_raw or is_depth else "", is_coarse)
 
 
 def _is_unnamed_depth(name: str, kind: str) -> bool:

@@ -88,6 +88,7 @@ _MESSAGE_TYPES = {
 _SUFFIXES = {
     "/compressed": TopicKind(COMPRESSED, SENSOR_DATA),
     "/compressedDepth": TopicKind(COMPRESSED, SENSOR_DATA),
+    "/zstd": TopicKind(COMPRESSED, SENSOR_DATA),
     "/camera_info": TopicKind(CAMERA_INFO, LATCHED),
     "/image_raw": TopicKind(RAW, SENSOR_DATA),
     "/image_rect": TopicKind(RAW, SENSOR_DATA),
@@ -95,6 +96,12 @@ _SUFFIXES = {
 """What the topics of cameras carry, by the end of their names (REP-104, image_transport)."""
 
 
+_TRANSPORT = re.compile(r"/(compressed|compressedDepth|zstd)$")
+"""What image_transport puts behind an image's name for a CompressedImage of it that is read here."""
+_COLOUR_ORDER = ("compressed", "", "zstd")
+"""Of an image's forms, that which it is read from first; empty: as it is."""
+_DEPTH_ORDER = ("compressedDepth", "", "zstd")
+"""The same of depth, before `compressed`: by its default that is JPEG, which keeps 8 of 16 bits."""
 _ALIGNED_DEPTH = ("aligned_depth", "depth_registered", "depth_to_")
 """In the names of depth that a driver has aligned with the colour image (realsense2_camera, openni2_camera, Azure)."""
 DEPTH_BY_NAME = (
@@ -190,8 +197,8 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     A topic of an image type is a depth image when its path says `depth`, else a colour image; the camera is the path
     before `image...`, `color...` or `rgb...`. Of several colour topics of a camera its driver's is taken by its name,
     before others, on which somebody may have drawn. Of several depth topics that is taken which drivers have aligned
-    with the colour image, by its name. A camera with both a raw and a compressed colour topic is read from the
-    compressed one.
+    with the colour image, by its name. Of an image in several forms the compressed one is read, of depth that which
+    keeps all of it.
     What image_transport would send of a colour image as `compressedDepth` is neither: it can encode none.
     Azure's driver brings depth to a camera `/rgb` on `/depth_to_rgb`.
     `measured`: topics that are known to hold depth, whatever their names say; where these name no camera that has
@@ -199,13 +206,12 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
     Raises `GraphError` naming `source` when there is no colour image at all.
     """
     images = [topic for topic in types if types[topic] in IMAGE_TYPES]
-    images.sort(key=lambda t: (not is_aligned_depth(t), types[t] != COMPRESSED, t))
     colour: dict[str, str] = {}
-    for topic in sorted(images, key=_by_custom):
+    for topic in sorted(images, key=lambda t: (_by_custom(t), _form(t, types[t], _COLOUR_ORDER), t)):
         if is_colour(topic) and topic not in measured:
             colour.setdefault(camera_of(topic), topic)
     depth: dict[str, str] = {}
-    for topic in images:
+    for topic in sorted(images, key=lambda t: (not is_aligned_depth(t), _form(t, types[t], _DEPTH_ORDER), t)):
         if topic in measured or _is_depth(topic):
             depth.setdefault(_measured_by(topic, colour, topic in measured), topic)
     if not colour:
@@ -247,10 +253,27 @@ def _is_depth(topic: str) -> bool:
 
 def _by_custom(image: str) -> int:
     """Rank of a topic's name among those of one camera: as drivers have it, as rectified images have it, others."""
-    name = image.removesuffix("/compressed").rpartition("/")[2]
+    name = without_transport(image).rpartition("/")[2]
     if name == "image_raw":
         return 0
     return 1 if name in ("image", "image_color") or is_rectified(image) else 2
+
+
+def _form(topic: str, msgtype: str, order: Sequence[str]) -> int:
+    """Place of a topic's form in an order; behind all of it where it has none."""
+    found = _TRANSPORT.search(topic)
+    form = found[1] if found else ("" if msgtype == RAW else "compressed")
+    return order.index(form) if form in order else len(order)
+
+
+def is_compressed(topic: str) -> bool:
+    """Whether a topic's images are `sensor_msgs/CompressedImage` by its name."""
+    return _TRANSPORT.search(topic) is not None
+
+
+def without_transport(topic: str) -> str:
+    """Name of the image that image_transport made a topic of; other names as they are."""
+    return _TRANSPORT.sub("", topic)
 
 
 def is_colour(topic: str) -> bool:
@@ -267,7 +290,7 @@ def path_of(topic: str) -> tuple[str, ...]:
     """The parts of an image topic's name that `camera_of` joins."""
     parts = tuple(topic.strip("/").split("/"))
     for i, part in enumerate(parts):
-        if i and part.startswith(("image", "color", "rgb", "depth", "aligned_depth", "compressed")):
+        if i and part.startswith(("image", "color", "rgb", "depth", "aligned_depth", "compressed", "zstd")):
             return parts[:i]
     return parts[:-1] or parts[:1]
 
@@ -302,7 +325,7 @@ def _depth_info_topic(depth: str | None, info: str, types: Mapping[str, str]) ->
 
 def info_beside(image: str) -> str:
     """Where the CameraInfo of a topic of images is by ROS naming."""
-    return re.sub("/compressed(Depth)?$", "", image).rpartition("/")[0] + "/camera_info"
+    return without_transport(image).rpartition("/")[0] + "/camera_info"
 
 
 def is_aligned_depth(topic: str) -> bool:

@@ -39,8 +39,10 @@ from twin_node.messages.convert.image import (
     compressed_image,
     depth_from_message,
     depth_image,
+    is_jpeg,
     raw_image,
     rgb_from_message,
+    source_encoding,
 )
 from twin_node.messages.convert.markers import (
     frusta_to_markers,
@@ -77,6 +79,7 @@ __all__ = [
     "gaussians_from_pointcloud2",
     "gaussians_to_pointcloud2",
     "has_velocities",
+    "is_jpeg",
     "joint_path_from_message",
     "joint_path_to_message",
     "joint_sample_from_message",
@@ -95,6 +98,7 @@ __all__ = [
     "separation_from_message",
     "separation_to_marker",
     "separation_to_message",
+    "source_encoding",
     "status_from_message",
     "status_to_message",
     "tf_static",

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from twin_node.messages.convert.camera import optical_frame
 from twin_node.messages.convert.rvl import decode_rvl
+from twin_node.messages.convert.zstd_transport import FORMAT as ZSTD
+from twin_node.messages.convert.zstd_transport import packed_encoding, unpack_image
 from twin_node.messages.stamps import header, header_stamp
 from twin_node.messages.types import Message, MessageError, message_type
 from twin_node.scene import Float32, UInt8
@@ -48,7 +50,9 @@ CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, 
 MOSAIC = re.compile(r"(bayer_(?:rggb|bggr|gbrg|grbg))(?:8|16)\b")
 """What a `format` begins with that says of which image the compressed one was made."""
 
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 MM_PER_M = 1000.0
+JPEG_SIGNATURE = b"\xff\xd8\xff"
 PNG_SIGNATURE = b"\x89PNG"
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
@@ -116,7 +120,8 @@ def rgb_from_message(message: Message) -> UInt8:
 
     Raises `MessageError` for an encoding that is not an 8-bit colour or grey one, and for data that cannot be decoded.
     """
-    if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
+    message = _plain(message)
+    if message.__msgtype__ == COMPRESSED:
         return _decode_compressed_rgb(message)
     encoding = message.encoding
     if encoding != "rgb8" and encoding not in TO_RGB:
@@ -139,10 +144,11 @@ def depth_from_message(message: Message) -> Float32:
     """Depth [H, W] in metres of a depth image; 0 where unknown: NaN, infinite and negative values never pass.
 
     Takes Image as 16UC1 or mono16 (mm) and 32FC1 (m), CompressedImage as PNG in mm, as TIFF in mm or m, or in the
-    compressedDepth form (PNG or RVL). All are 0 where nothing was measured, as with a covered lens. Raises
+    forms of compressedDepth (PNG or RVL) and zstd. All are 0 where nothing was measured, as with a covered lens. Raises
     `MessageError` for any other encoding and undecodable data.
     """
-    if message.__msgtype__ == "sensor_msgs/msg/CompressedImage":
+    message = _plain(message)
+    if message.__msgtype__ == COMPRESSED:
         return _decode_compressed_depth(message)
     order = ">" if message.is_bigendian else "<"
     if message.encoding in ("16UC1", "mono16"):
@@ -151,6 +157,42 @@ def depth_from_message(message: Message) -> Float32:
         return _known(_rows(message, np.dtype(f"{order}f4"), 1))
     raise MessageError(
         f"{_name(message)}: depth encoding {message.encoding!r}; expected 16UC1 (mm) or 32FC1 (m); convert the topic"
+    )
+
+
+def source_encoding(message: Message) -> str:
+    """Encoding of an Image, or of the one that image_transport made a CompressedImage of; empty where nothing tells.
+
+    Raises `MessageError` for what is no image of its format.
+    """
+    if message.__msgtype__ != COMPRESSED:
+        return str(message.encoding)
+    if message.format != ZSTD:
+        return str(message.format).partition(";")[0].strip()
+    try:
+        return packed_encoding(message)
+    except ValueError as error:
+        raise _not_packed(message, error) from None
+
+
+def is_jpeg(message: Message) -> bool:
+    """Whether an image is compressed as JPEG, which keeps 8 bits of what has more."""
+    return message.__msgtype__ == COMPRESSED and bytes(message.data[: len(JPEG_SIGNATURE)]) == JPEG_SIGNATURE
+
+
+def _plain(message: Message) -> Message:
+    """The Image that zstd_image_transport packed; what others send as it is."""
+    if message.__msgtype__ != COMPRESSED or message.format != ZSTD:
+        return message
+    try:
+        return unpack_image(message)
+    except ValueError as error:
+        raise _not_packed(message, error) from None
+
+
+def _not_packed(message: Message, error: ValueError) -> MessageError:
+    return MessageError(
+        f"{_name(message)}: expected an image of zstd_image_transport, found {error}; the frame is damaged"
     )
 
 
@@ -195,9 +237,7 @@ def _image(camera: str, stamp: int, rows: NDArray[np.uint8], width: int, encodin
 
 
 def _compressed(camera: str, stamp: int, form: str, data: NDArray[np.uint8]) -> Message:
-    return message_type("sensor_msgs/msg/CompressedImage")(
-        header=header(stamp, optical_frame(camera)), format=form, data=data.reshape(-1)
-    )
+    return message_type(COMPRESSED)(header=header(stamp, optical_frame(camera)), format=form, data=data.reshape(-1))
 
 
 def _known(depth: Float32) -> Float32:

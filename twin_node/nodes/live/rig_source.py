@@ -12,6 +12,7 @@ from twin_node.nodes.topics import (
     GraphError,
     info_beside,
     is_aligned_depth,
+    is_compressed,
     is_rectified,
     parse_remaps,
 )
@@ -33,7 +34,7 @@ class RigParameters:
     """Scenario of the simulated cell."""
     image: str = "image_raw/compressed"
     """Topic of a camera's images below its name, or from the root with `{camera}` for it
-    (`/{camera}/{camera}/color/image_raw`); compressed where it ends so."""
+    (`/{camera}/{camera}/color/image_raw`); compressed where it ends in `/compressed` or `/zstd`."""
     depth: str = ""
     """The same of its depth images, aligned with the colour images (`aligned_depth_to_color/image_raw` of
     realsense2_camera); empty: none."""
@@ -96,14 +97,18 @@ def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
     return CameraTopics(
         name=camera,
         image=image,
-        image_type=COMPRESSED if parameters.image.endswith("/compressed") else RAW,
+        image_type=_type_of(image),
         info=info,
         depth=depth,
         depth_info=None if depth_info == info else depth_info,
         is_rectified=is_rectified(image),
         is_depth_aligned=is_aligned_depth(parameters.depth),
-        depth_type=(COMPRESSED if parameters.depth.endswith("compressedDepth") else RAW) if parameters.depth else None,
+        depth_type=_type_of(depth) if depth else None,
     )
+
+
+def _type_of(topic: str) -> str:
+    return COMPRESSED if is_compressed(topic) else RAW
 
 
 def _topic(camera: str, name: str) -> str:
