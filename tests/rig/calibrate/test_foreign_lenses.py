@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twin_node.rig.calibrate.importers import IMPORTERS
+from twin_node.rig.calibrate.importers.colmap_files import MODEL_NAMES, MODEL_PARAMETERS
+from twin_node.rig.errors import RigError
 from twin_node.scene import RigCamera
 
 QUALISYS = """<calibration><cameras>
@@ -67,6 +70,23 @@ def test_lenses_of_colmap_are_read_parameter_by_parameter(
     np.testing.assert_allclose(found.K[[0, 1, 0, 1], [0, 1, 2, 2]], K)
     np.testing.assert_allclose(found.D, D)
     assert found.distortion_model == model
+
+
+def test_camera_models_have_the_names_and_numbers_of_colmap_itself() -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    for kind, (name, parameters) in enumerate(zip(MODEL_NAMES, MODEL_PARAMETERS, strict=True)):
+        if not hasattr(pycolmap.CameraModelId, name):
+            continue  # an older COLMAP
+        camera = pycolmap.Camera(model=pycolmap.CameraModelId(kind))
+        assert (camera.model_name, len(camera.params_info.split(","))) == (name, parameters)
+
+
+def test_a_binary_model_of_a_newer_colmap_is_told_from_one_that_is_cut_short(tmp_path: Path) -> None:
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ2d", 1, 7, len(MODEL_NAMES), 640, 480, 500, 500))
+    with pytest.raises(
+        RigError, match=r"camera 7: expected a model from 0 to 17 \(EQUIRECTANGULAR\), found 18.*as text"
+    ):
+        IMPORTERS["colmap"](tmp_path)
 
 
 def test_a_unit_of_colmap_is_a_metre_unless_told(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ MODEL_NAMES = (
     "EUCM",
     "EQUIRECTANGULAR",
 )
-"""By COLMAP's number of the model."""
+"""By COLMAP's number of the model (4.2: colmap/sensor/models.h)."""
 MODEL_PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
 """How many parameters each has: needed to find the next camera in a binary file."""
 POINT_BYTES = 24
@@ -225,7 +225,10 @@ def _binary_cameras(path: Path) -> tuple[ColmapCamera, ...]:
     for _ in range(int(count)):
         number, kind, width, height = (int(value) for value in data.take("iiQQ"))
         if not 0 <= kind < len(MODEL_NAMES):
-            raise data.damaged(f"a camera of the unknown model {kind}")
+            raise RigError(
+                f"{path}: camera {number}: expected a model from 0 to {len(MODEL_NAMES) - 1} ({MODEL_NAMES[-1]}), "
+                f"found {kind}; export the model again, as text if it is of a newer COLMAP (colmap model_converter)"
+            )
         parameters = np.array(data.take(f"{MODEL_PARAMETERS[kind]}d"))
         where = f"{path}: camera {number}"
         cameras.append(ColmapCamera(where, number, MODEL_NAMES[kind], (width, height), parameters))
