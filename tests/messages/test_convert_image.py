@@ -131,9 +131,27 @@ def test_yuv422_in_both_orders() -> None:
         assert np.abs(decoded.astype(int) - [254, 0, 0]).max() <= 2
 
 
+def planes(encoding: str, **fields: Any) -> Message:
+    """Red of BT.601 in 4x6 pixels, rows padded by two bytes."""
+    rows = np.full((6, 8), 81, np.uint8)
+    rows[4:, :6:2], rows[4:, 1:6:2] = (90, 240) if encoding == "nv12" else (240, 90)
+    rows[:, 6:] = 17
+    return image(encoding, rows, **{"height": 4, "width": 6, **fields})
+
+
+@pytest.mark.parametrize("encoding", ["nv12", "nv21"])
+def test_colours_in_a_plane_below_the_rows(encoding: str) -> None:
+    """In sensor_msgs since 2024; `rviz2` shows them. They were refused."""
+    decoded = rgb_from_message(sent(planes(encoding)))
+    assert decoded.shape == (4, 6, 3)
+    assert np.abs(decoded.astype(int) - [254, 0, 0]).max() <= 2
+
+
 @pytest.mark.parametrize(
     ("message", "words"),
     [
+        (planes("nv12", height=6, width=8), "needs rows of at least 8 bytes, found a step of 8 and 48 bytes"),
+        (planes("nv21", width=5), "one colour for 2x2 pixels, found an image of 5x4"),
         (image("32FC1", np.zeros((4, 4), dtype=np.float32)), "image encoding '32FC1'"),
         (replace(raw_image("cam", STAMP, gradient()), step=10), "damaged"),
         (replace(raw_image("cam", STAMP, gradient()), data=np.zeros(5, dtype=np.uint8)), "damaged"),

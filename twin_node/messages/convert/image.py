@@ -41,6 +41,10 @@ TO_RGB = {
 """OpenCV conversion of each encoding of sensor_msgs/image_encodings.hpp that has 8 bits per value, rows of one length
 and is not RGB already; two have had other names since Iron."""
 
+PLANAR = {"nv12": cv2.COLOR_YUV2RGB_NV12, "nv21": cv2.COLOR_YUV2RGB_NV21}
+"""The same of those whose colours, one for four pixels, lie in a plane below the rows, which are half as many again
+(`getHeightScaling`); of hardware decoders and libcamera."""
+
 PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 """Encodings in which two neighbours share their colour."""
 
@@ -124,10 +128,11 @@ def rgb_from_message(message: Message) -> UInt8:
     if message.__msgtype__ == COMPRESSED:
         return _decode_compressed_rgb(message)
     encoding = message.encoding
+    if encoding in PLANAR:
+        return _of_planes(message)
     if encoding != "rgb8" and encoding not in TO_RGB:
-        raise MessageError(
-            f"{_name(message)}: image encoding {encoding!r}; expected rgb8, {', '.join(TO_RGB)}; convert the topic"
-        )
+        known = ", ".join(("rgb8", *TO_RGB, *PLANAR))
+        raise MessageError(f"{_name(message)}: image encoding {encoding!r}; expected {known}; convert the topic")
     channels = CHANNELS.get(encoding, 1)
     pixels = _rows(message, np.dtype(np.uint8), channels)
     if encoding == "rgb8":
@@ -158,6 +163,16 @@ def depth_from_message(message: Message) -> Float32:
     raise MessageError(
         f"{_name(message)}: depth encoding {message.encoding!r}; expected 16UC1 (mm) or 32FC1 (m); convert the topic"
     )
+
+
+def _of_planes(message: Message) -> UInt8:
+    if message.width % 2 or message.height % 2:
+        raise MessageError(
+            f"{_name(message)}: {message.encoding} has one colour for 2x2 pixels, found an image of "
+            f"{message.width}x{message.height}; the frame is damaged"
+        )
+    planes = _rows(message, np.dtype(np.uint8), 1, int(message.height) * 3 // 2)
+    return np.asarray(cv2.cvtColor(planes, PLANAR[message.encoding]), dtype=np.uint8)
 
 
 def source_encoding(message: Message) -> str:
@@ -285,9 +300,9 @@ def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
     return decoded
 
 
-def _rows(message: Message, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
-    """Pixels [H, W] or [H, W, C] without the padding at the end of each row."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
+def _rows(message: Message, dtype: np.dtype[Any], channels: int, rows_held: int | None = None) -> NDArray[Any]:
+    """Pixels [H, W] or [H, W, C] without the padding at the end of each row; `rows_held`: H, if not the image's."""
+    height, width, step = rows_held or int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
     if not (height > 0 and width > 0 and step >= row and len(message.data) >= height * step):
         raise MessageError(
