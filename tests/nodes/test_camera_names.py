@@ -34,6 +34,25 @@ def test_what_somebody_has_drawn_on_is_not_taken_for_a_cameras_images(topics: di
     assert camera.image == image
 
 
+ZED = "/zed/zed_node"
+
+
+@pytest.mark.parametrize("form", ["", "/compressed"])
+def test_a_zed_is_read_from_the_images_that_its_depth_is_of(form: str) -> None:
+    """Its wrapper has raw and rectified images side by side since 5.1: the raw ones came first by the alphabet."""
+    kind = COMPRESSED if form else RAW
+    images = [f"{ZED}/rgb/color/{of}/image{form}" for of in ("raw", "rect")]
+    below = {f"{ZED}/{image}/camera_info": CAMERA_INFO for image in ("rgb/color/raw/image", "rgb/color/rect/image")}
+    below[f"{ZED}/depth/depth_registered/camera_info"] = CAMERA_INFO
+    depth = f"{ZED}/depth/depth_registered"
+    [camera] = find_cameras({**dict.fromkeys(images, kind), depth: RAW, **below}, "log")
+    assert (camera.name, camera.image, camera.is_rectified) == ("zed_zed_node", images[1], True)
+    assert (camera.info, camera.depth_info) == (f"{ZED}/rgb/color/rect/image/camera_info", f"{depth}/camera_info")
+    beside = {f"{ZED}/rgb/color/rect/camera_info": CAMERA_INFO, f"{ZED}/depth/camera_info": CAMERA_INFO}
+    [camera] = find_cameras({**dict.fromkeys(images, kind), depth: RAW, **beside}, "log")
+    assert (camera.info, camera.depth_info) == (f"{ZED}/rgb/color/rect/camera_info", f"{ZED}/depth/camera_info")
+
+
 def log_of(path: Path, *folders: str) -> Path:
     with LogWriter(path) as log:
         for folder in folders:

@@ -256,6 +256,8 @@ def _by_custom(image: str) -> int:
     name = without_transport(image).rpartition("/")[2]
     if name == "image_raw":
         return 0
+    if "/raw/" in image:
+        return 2  # ZED's, since 5.1 beside the rectified one that its depth is of
     return 1 if name in ("image", "image_color") or is_rectified(image) else 2
 
 
@@ -311,21 +313,30 @@ def is_rectified(image: str) -> bool:
 
 def _info_topic(name: str, image: str, types: Mapping[str, str]) -> str:
     beside = info_beside(image)
-    candidates = [beside, *sorted(t for t in types if types[t] == CAMERA_INFO and camera_of(t) == name)]
+    candidates = [
+        beside,
+        _info_below(image),
+        *sorted(t for t in types if types[t] == CAMERA_INFO and camera_of(t) == name),
+    ]
     return next((t for t in candidates if types.get(t) == CAMERA_INFO and "depth" not in t), beside)
 
 
 def _depth_info_topic(depth: str | None, info: str, types: Mapping[str, str]) -> str | None:
-    """Beside a depth topic; `info`: the colour image's own."""
+    """Beside a depth topic, or below it; `info`: the colour image's own."""
     if depth is None:
         return None
-    beside = info_beside(depth)
-    return beside if beside != info and types.get(beside) == CAMERA_INFO else None
+    candidates = (info_beside(depth), _info_below(depth))
+    return next((t for t in candidates if t != info and types.get(t) == CAMERA_INFO), None)
 
 
 def info_beside(image: str) -> str:
     """Where the CameraInfo of a topic of images is by ROS naming."""
     return without_transport(image).rpartition("/")[0] + "/camera_info"
+
+
+def _info_below(image: str) -> str:
+    """Where it is by ZED's since 5.1: each of its topics has one of its own."""
+    return without_transport(image) + "/camera_info"
 
 
 def is_aligned_depth(topic: str) -> bool:
