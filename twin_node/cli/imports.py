@@ -19,7 +19,9 @@ def add_import(commands: Any) -> None:
     video.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
     video.set_defaults(run=_import_video)
     ply = kinds.add_parser("ply", help="a scene of Gaussians in the 3DGS layout, edited elsewhere")
-    ply.add_argument("scene", type=Path, metavar="SCENE.ply", help="Gaussians in the 3DGS layout")
+    ply.add_argument(
+        "scene", type=Path, metavar="SCENE.ply", help="Gaussians in the 3DGS layout, also compressed, or SPZ"
+    )
     ply.add_argument("-o", "--output", type=Path, required=True, metavar="LOG.mcap", help="log to write")
     ply.set_defaults(run=_import_ply)
     model = kinds.add_parser("model", help="what twin_node train or bake has written, at each of its times")

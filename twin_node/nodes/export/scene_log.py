@@ -10,20 +10,21 @@ import numpy as np
 from twin_node.bag import LogWriter
 from twin_node.messages import convert
 from twin_node.model.parameters import ModelError
-from twin_node.model.ply import cloud_from_stored, read_ply
+from twin_node.model.ply import cloud_from_stored
 from twin_node.model.sequence import is_baked, load_baked
 from twin_node.nodes.export.checkpoint import CheckpointSource
+from twin_node.nodes.export.scene_files import read_scene
 from twin_node.nodes.topics import GAUSSIANS
 from twin_node.scene import GaussianCloud
 
 
 def import_ply(path: Path, output: Path) -> int:
-    """Writes the Gaussians of a PLY file (3DGS layout) as one latched `/twin/gaussians`, all STATIC; returns how many.
+    """Writes the Gaussians of a file (see `read_scene`) as one latched `/twin/gaussians`, all STATIC; returns how many.
 
     Colours become those of all sides, in 8 bits; the stamp is 0. Raises `ModelError` or `BagError` for a wrong path,
     `ModelError` for Gaussians that are nowhere, or of no size, shape or colour, and where there are none.
     """
-    cloud = cloud_from_stored(read_ply(path))
+    cloud = cloud_from_stored(read_scene(path))
     if not len(cloud.means):
         raise ModelError(f"{path}: expected Gaussians, found none; export the scene again")
     _require_finite(cloud, path)
