@@ -142,5 +142,15 @@ def test_wrong_joint_values_are_refused() -> None:
     for count in (0, 5, 7):
         with pytest.raises(RobotError, match=rf"expected one per name .*found shape \({count},\)"):
             model.ordered_positions(JointSample(0, model.joint_names, np.zeros(count), np.zeros(6)))
-    with pytest.raises(RobotError, match="expected one of ur3e, ur5e, ur7e, ur10e, ur12e, ur16e"):
+    with pytest.raises(RobotError, match=r"expected one of ur3e, ur5e, ur7e, ur10e, ur12e, ur16e.*; check the name"):
         ur_model("ur7")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("ur20", r"; ur_description makes one: .*/ur.urdf.xacro name:=ur ur_type:=ur20 > ur20.urdf"), ("UR10e", "ur10e")],
+)
+def test_arms_of_ur_that_are_not_known_by_name_are_told_where_theirs_is(name: str, told: str) -> None:
+    """To check the name is no help to who has one of UR's larger arms."""
+    with pytest.raises(RobotError, match=f"arm '{name}': expected one of ur3e.*{told}$"):
+        arm_model(name)

@@ -156,6 +156,8 @@ _ARMS = {
     "ur12e": _UR10E,
     "ur16e": _shortened(_UR10E, 0.4784, 0.36),
 }
+_OTHERS = ("ur3", "ur5", "ur10", "ur8long", "ur15", "ur18", "ur20", "ur30")
+"""Arms of UR's that `ur_description` knows (its `config/`), and whose shapes are not here."""
 UR_NAMES = tuple(_ARMS)
 """Names that `ur_model` knows."""
 
@@ -222,5 +224,17 @@ def joint_origins(dh: DhParameters) -> Float64:
 def _arm(name: str) -> _UrArm:
     if name not in _ARMS:
         known = ", ".join(UR_NAMES)
-        raise RobotError(f"arm {name!r}: expected one of {known}, or an MJCF or URDF file; check the name")
+        raise RobotError(f"arm {name!r}: expected one of {known}, or an MJCF or URDF file; {_way_out(name.lower())}")
     return _ARMS[name]
+
+
+def _way_out(name: str) -> str:
+    """What to do with a name, in small letters, that stands for no arm here."""
+    if name in _ARMS:
+        return f"write it {name}"
+    if name not in _OTHERS:
+        return "check the name"
+    return (
+        f"ur_description makes one: ros2 run xacro xacro $(ros2 pkg prefix --share ur_description)/urdf/ur.urdf.xacro "
+        f"name:=ur ur_type:={name} > {name}.urdf"
+    )
