@@ -200,6 +200,13 @@ def test_a_script_that_does_not_start_is_told_with_what_to_do(begins: Begins, sc
         link_of(DriverMode.SERVO, receive=receiving(1)).prepare_servo()
 
 
+def test_servo_mode_tells_a_controller_that_has_no_dashboard(begins: Begins) -> None:
+    """PolyScope X: it was a connection that the controller had refused, by a timeout. Slider mode needs none."""
+    begins(RuntimeError("Timeout connecting to UR dashboard server."))
+    with pytest.raises(ArmError, match=r"servo mode needs the dashboard on port 29999.*PolyScope X.*in slider mode"):
+        link_of(DriverMode.SERVO, receive=receiving(1)).prepare_servo()
+
+
 def test_the_lost_connection_of_a_control_script_is_told() -> None:
     lost = SimpleNamespace(isConnected=lambda: False, servoJ=gone)
     link = link_of(DriverMode.SERVO, receive=receiving(), control=lost)

@@ -276,6 +276,11 @@ def _refused(robot: str, error: RuntimeError) -> str:
     reason = " ".join(str(error).split())
     if "start control script" in reason:
         return _NO_START
+    if "dashboard" in reason:
+        return (
+            f"{robot}: servo mode needs the dashboard on port {_DASHBOARD_PORT}, which does not answer; enable it in "
+            "the controller's security settings, or, of PolyScope X, which has none, drive in slider mode"
+        )
     if "in use" in reason:
         return (
             f"{robot}: an input register that ur_rtde writes is in use; end the other RTDE client, and switch off "
