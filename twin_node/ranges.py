@@ -1,4 +1,4 @@
-"""Ranges of the numbers that users set, and the one error for what lies outside."""
+"""The numbers that users set, their ranges, and the one error for what lies outside."""
 
 from __future__ import annotations
 
@@ -40,6 +40,15 @@ PORTS = Range(1, 65535)
 """Of TCP and UDP, where one is meant."""
 WIDTHS_PX = Range(16, 16_384)
 """Of working images, px: below nothing is seen, and no camera has more."""
+
+
+def is_number(word: str | bytes) -> bool:
+    """Whether a word of a file is a number as `float` reads it, be it finite or not."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def within_s(length_s: float) -> str:

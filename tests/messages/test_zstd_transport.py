@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from zstandard import ZstdCompressor
+from zstd_images import packed
 
-from twin_node.messages import Message, MessageError
+from twin_node.messages import MessageError
 from twin_node.messages.convert import (
-    compressed_image,
     depth_from_message,
     depth_image,
     raw_image,
@@ -27,13 +26,6 @@ from twin_node.messages.convert import (
 RGB = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
 DEPTH = np.linspace(0, 3, 24, dtype=np.float32).reshape(4, 6)
 PACKERS = (gzip.compress, zlib.compress, ZstdCompressor().compress)
-
-
-def packed(image: Message, pack: Callable[[bytes], bytes] = gzip.compress, step: int | None = None) -> Message:
-    name = str(image.encoding).encode()
-    head = struct.pack("<IIBII", image.height, image.width, image.is_bigendian, step or image.step, len(name))
-    data = np.frombuffer(head + name + pack(image.data.tobytes()), np.uint8)
-    return replace(compressed_image("cam", 5, RGB), format="zstd", data=data)
 
 
 @pytest.mark.parametrize("pack", PACKERS)

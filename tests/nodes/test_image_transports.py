@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
-import struct
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from zstd_images import packed
 
 from twin_node.bag import LogWriter
 from twin_node.messages import Message, convert
@@ -24,13 +23,6 @@ WORKSPACE = np.array([[-1, -1, 0.2], [1, 1, 2.0]])
 RGB = np.full((48, 64, 3), 90, np.uint8)
 METRES = np.full((48, 64), 1.5, np.float32)
 FORMS = ("", "/compressed", "/compressedDepth", "/zstd")
-
-
-def packed(image: Message) -> Message:
-    name = str(image.encoding).encode()
-    head = struct.pack("<IIBII", image.height, image.width, image.is_bigendian, image.step, len(name))
-    data = np.frombuffer(head + name + gzip.compress(image.data.tobytes()), np.uint8)
-    return replace(convert.compressed_image("cam", 5, RGB), format="zstd", data=data)
 
 
 def jpeg_of_depth() -> Message:

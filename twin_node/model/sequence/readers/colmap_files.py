@@ -12,6 +12,7 @@ from pathlib import Path
 from struct import Struct, error
 
 from twin_node.model.parameters import ModelError
+from twin_node.ranges import is_number
 
 _COUNT, _LENGTH, _INT = Struct("<Q"), Struct("<I"), Struct("<i")
 CAMERA_BYTES = 8 + 8
@@ -73,20 +74,12 @@ def _check_lines(path: Path) -> None:
         if not image or image[0].startswith(b"#"):
             continue
         points = next(lines, [])
-        if len(points) % 3 or not _is_number(points[-1] if points else b"0"):
+        if len(points) % 3 or not is_number(points[-1] if points else b"0"):
             name, found = (b" ".join(words).decode(errors="replace")[:MOST_SIGNS] for words in (image[9:], points))
             raise ModelError(
                 f"{path}: expected a line of points below that of image '{name}', empty where there are none, found "
                 f"'{found}'; export the model again"
             )
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _read(path: Path) -> _File:

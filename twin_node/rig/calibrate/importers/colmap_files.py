@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.errors import reason
+from twin_node.ranges import is_number
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
 
@@ -121,7 +122,7 @@ def _text_images(path: Path) -> tuple[ColmapImage, ...]:
             )
         where = f"{path}: {line[9]}"
         points = next(lines, [])
-        if len(points) % 3 or not _is_number(points[-1] if points else "0"):
+        if len(points) % 3 or not is_number(points[-1] if points else "0"):
             raise RigError(
                 f"{where}: expected a line of points below it, empty where there are none, found {_told(points)!r}"
             )
@@ -149,21 +150,13 @@ def _whole(where: str, of: str, word: str) -> int:
 
 
 def _numbers(where: str, parts: list[str]) -> Float64:
-    wrong = [part for part in parts if not _is_number(part)]
+    wrong = [part for part in parts if not is_number(part)]
     if wrong:
         raise RigError(f"{where}: expected numbers, found {_told(wrong)!r}")
     numbers = np.array([float(part) for part in parts])
     if not np.isfinite(numbers).all():
         raise RigError(f"{where}: expected finite numbers, found {_told(parts)}")
     return numbers
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _told(words: list[str]) -> str:
