@@ -36,10 +36,12 @@ def test_a_process_is_started_where_its_log_cannot_be_kept(tmp_path: Path, log: 
 def test_a_process_gives_way_as_it_is_told_to_and_has_the_launcher_s_session(tmp_path: Path) -> None:
     """Linux shares processors among sessions first: in one of its own, a process gives way to nobody of the launch."""
     loaded = threading.Event()
-    order = Order(("arm",), {}, False, False, {}, {}, "test.yaml", niceness=3)
-    child = Child("arm", order, tmp_path / "arm.log", loaded.set, lambda line: None)
+    sections = {"recorder": {"output": str(tmp_path / "run")}}
+    order = Order(("recorder",), sections, False, False, {}, {}, "test.yaml", niceness=3)
+    child = Child("recorder", order, tmp_path / "log", loaded.set, lambda line: None)
     try:
         assert loaded.wait(WAIT_S)
+        assert child.is_loaded, child.error  # one that was refused may be gone by now
         own = os.getpriority(os.PRIO_PROCESS, 0)
         assert os.getpriority(os.PRIO_PROCESS, child.pid) == min(own + 3, 19)
         assert os.getsid(child.pid) == os.getsid(0)
