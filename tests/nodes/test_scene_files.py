@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -106,6 +107,16 @@ def test_other_formats_are_named(tmp_path: Path, refused: Callable[..., str], he
     said = refused("import", "ply", path, "-o", tmp_path / "scene.mcap")
     assert f"expected Gaussians as PLY or SPZ, found {name}" in said
     assert "export the scene as PLY" in said
+
+
+def test_without_what_gsply_needs_for_a_form_no_file_is_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gsply = pytest.importorskip("gsply")
+    write_spz(stored(), tmp_path / "scene.spz")
+    monkeypatch.setattr(gsply, "read_spz", MagicMock(side_effect=ImportError("zstandard is required")))
+    with pytest.raises(ModelError, match=r"pip install 'twin-node\[export\]'"):
+        read_scene(tmp_path / "scene.spz")
 
 
 def test_without_gsply_it_is_said_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

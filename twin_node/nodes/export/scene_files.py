@@ -45,21 +45,26 @@ def read_scene(path: Path) -> StoredGaussians:
 def _by_gsply(path: Path, form: str, read: Callable[[Any], Any]) -> StoredGaussians:
     try:
         import gsply
-    except ImportError:
+
+        return _stored(read(gsply))
+    except ImportError:  # also of what only some forms need, from within
         raise ModelError(
             f"{path}: {form} is read by the package gsply; install it with pip install 'twin-node[export]', or export "
             "the scene as PLY without compression"
         ) from None
-    try:
-        found = read(gsply)
-        count = len(found.means)
-        sh = np.zeros((count, 1, 3)) if found.sh0 is None else np.reshape(found.sh0, (count, 1, 3))
-        if found.shN is not None and np.size(found.shN):
-            sh = np.concatenate([sh, np.reshape(found.shN, (count, -1, 3))], axis=1)
-        columns = (found.means, found.quats, found.scales, found.opacities, sh)
-        shapes = ((count, 3), (count, 4), (count, 3), (count,), sh.shape)
-        stored = [np.reshape(own, shape).astype(np.float32) for own, shape in zip(columns, shapes, strict=True)]
     except Exception as error:  # gsply's readers raise whatever they meet in a damaged file
         reason = " ".join(str(error).split()).removesuffix(f": {path}")
         raise ModelError(f"{path}: expected {form}, found a damaged file ({reason}); export it again") from None
-    return StoredGaussians(*stored)
+
+
+def _stored(found: Any) -> StoredGaussians:
+    """Of gsply's data; raises what NumPy does where their columns do not belong together."""
+    count = len(found.means)
+    sh = np.zeros((count, 1, 3)) if found.sh0 is None else np.reshape(found.sh0, (count, 1, 3))
+    if found.shN is not None and np.size(found.shN):
+        sh = np.concatenate([sh, np.reshape(found.shN, (count, -1, 3))], axis=1)
+    columns = (found.means, found.quats, found.scales, found.opacities, sh)
+    shapes = ((count, 3), (count, 4), (count, 3), (count,), sh.shape)
+    return StoredGaussians(
+        *(np.reshape(own, shape).astype(np.float32) for own, shape in zip(columns, shapes, strict=True))
+    )
