@@ -45,14 +45,18 @@ def parse_yaml(text: str) -> object:
     return yaml.load(text, _Loader)
 
 
+def yaml_text(content: object) -> str:
+    """Content as YAML, in its own order."""
+    return yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
+
+
 def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
     """Writes a YAML file; what stands at `path` stays until the new one is whole.
 
     Raises `error` where it cannot be written.
     """
-    text = yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
     with whole_file(path, error) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(yaml_text(content), encoding="utf-8")
 
 
 class _Loader(yaml.SafeLoader):

@@ -142,6 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     from twin_node.cli.doctor import add_doctor
     from twin_node.cli.edit import add_edit
     from twin_node.cli.export import add_export
+    from twin_node.cli.graph import add_lifecycle, add_param
     from twin_node.cli.imports import add_import
     from twin_node.cli.launch import add_launch
     from twin_node.cli.logs import add_check, add_info
@@ -157,7 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"twin_node {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for add in (
-        *(add_replay, add_launch, add_record, add_play, add_info, add_check, add_doctor),
+        *(add_replay, add_launch, add_record, add_play, add_info, add_check, add_doctor, add_param, add_lifecycle),
         *(add_import, add_demo, add_bench, add_calibrate, add_export, add_render, add_view),
         *(add_ur_driver, add_acknowledge, add_ur_sim, add_sim, add_train, add_bake, add_edit),
     ):

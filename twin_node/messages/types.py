@@ -89,7 +89,13 @@ class MessageTypes:
     def type_hash(self, name: str) -> str:
         """RIHS01 hash of the type, as ROS 2 announces it (REP-2016)."""
         self._require(name)
-        return self._store.hash_rihs01(name)
+        return _as_idl(self._store).hash_rihs01(name)
+
+    def with_types(self, types: Typesdict) -> MessageTypes:
+        """This set and types of names that it does not have, whose fields are all of known types."""
+        store = _copy(self._store)
+        store.register(types)
+        return MessageTypes(store)
 
     def extended(self, definitions: Mapping[str, str]) -> MessageTypes:
         """This set and the types of `definitions` (name to `ros2msg` or IDL text), which win over equal names here.
@@ -128,6 +134,21 @@ def _copy(store: Typestore) -> Typestore:
     copied.fielddefs.update(store.fielddefs)
     copied.types.update(store.types)
     return copied
+
+
+def _as_idl(store: Typestore) -> Typestore:
+    """The fields of a set's types as rosidl makes IDL of them, which hashes are of: a `char` is a `uint8` there."""
+    fields = Typestore()
+    for name, (constants, members) in store.fielddefs.items():
+        fields.fielddefs[name] = (constants, [(member, _idl_field(kind)) for member, kind in members])
+    return fields
+
+
+def _idl_field(field: Any) -> Any:
+    node, inside = field
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return node, (_idl_field(inside[0]), inside[1])
+    return (node, ("uint8", 0)) if node == Nodetype.BASE and inside[0] == "char" else field
 
 
 def _parse(name: str, text: str) -> Typesdict:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from twin_node.messages.services import ServiceType
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint
+from twin_node.runtime.services import Answer
 from twin_node.runtime.wire import Cancel, Send, Sink
 from twin_node.runtime.zenoh_session import WireError, ZenohParameters
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -35,6 +37,10 @@ class LateWire:
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """As `ZenohWire.is_heard`. Raises `WireError` while the wire is not open."""
         return self._wire.is_heard(node, topic, kind)
+
+    def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
+        """As `ZenohWire.serve`. Raises `WireError` while the wire is not open."""
+        return self._wire.serve(node, name, service, answer)
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """As `ZenohWire.endpoints`; none while the wire is not open."""

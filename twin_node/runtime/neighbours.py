@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection, Sequence
 from typing import Any, Self
 
-from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, node_of_token
+from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, full_name, node_of_token
 from twin_node.runtime.zenoh_session import ZenohParameters, open_client
 
 CLAIM_SPACE = "@twin_node"
@@ -86,10 +86,10 @@ class NodeNames:
     def _contested(self) -> frozenset[tuple[str, str]]:
         """Who has one of the names, and which: the number of another launch's session, nothing where it is alive."""
         domain = self._parameters.domain_id
-        alive = [("", node_of_token(token)) for token in _tokens(self._session, f"{ADMIN_SPACE}/{domain}/**")]
+        alive = {node_of_token(token) for token in _tokens(self._session, f"{ADMIN_SPACE}/{domain}/**")}
         claimed = [token.split("/")[2:] for token in _tokens(self._session, f"{CLAIM_SPACE}/{domain}/*/*")]
-        found = (*alive, *((by, name) for by, name in claimed if by != self._id))
-        return frozenset((by, name) for by, name in found if name is not None and name in self._nodes)
+        others = {(by, name) for by, name in claimed if by != self._id and name in self._nodes}
+        return frozenset(others | {("", name) for name in self._nodes if full_name(name) in alive})
 
 
 class _Claims:

@@ -47,15 +47,16 @@ class NodeIdentity:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher or a subscriber of a node."""
+    """A publisher, a subscriber, or a server or a client of a service, of a node."""
 
     kind: EntityKind
     node: NodeIdentity
     number: int
     """Counts the session's entities."""
     topic: str
+    """Of a service: its name."""
     msgtype: str
-    """Full ROS 2 name."""
+    """Full ROS 2 name; of a service: its type's."""
     type_hash: str
     """RIHS01 hash, or `HUMBLE_HASH`."""
     qos: Qos
@@ -63,14 +64,14 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class Attachment:
-    """What goes with every sample."""
+    """What goes with every sample, request and response."""
 
     sequence: int
-    """Rises by one with every sample of a publisher."""
+    """Rises by one with every sample of a publisher and every request of a client; of a response its request's."""
     source_ns: int
-    """When it was published, by the publisher's clock."""
+    """When it was sent, by the sender's clock."""
     gid: bytes
-    """[16] the publisher's identifier."""
+    """[16] the identifier of the publisher, or of the client that asked."""
 
     def pack(self) -> bytes:
         """[33] bytes of the attachment."""
@@ -115,7 +116,7 @@ def node_token(node: NodeIdentity) -> str:
 
 
 def endpoint_token(endpoint: Endpoint) -> str:
-    """Liveliness token of a publisher or a subscriber."""
+    """Liveliness token of what a node sends, hears, serves or asks."""
     node = endpoint.node
     prefix = f"{_prefix(node, endpoint.number, endpoint.kind)}/{_mangled(node.namespace)}/{node.name}"
     kind = f"{dds_type(endpoint.msgtype)}/{endpoint.type_hash}"
@@ -123,7 +124,7 @@ def endpoint_token(endpoint: Endpoint) -> str:
 
 
 def parse_token(token: str) -> Endpoint | None:
-    """The publisher or subscriber that a liveliness token announces; None for any other token."""
+    """What a liveliness token says that a node sends, hears, serves or asks; None for a node's own and any other."""
     parts = token.split("/")
     if len(parts) != 13 or parts[0] != ADMIN_SPACE:
         return None
@@ -137,10 +138,15 @@ def parse_token(token: str) -> Endpoint | None:
 
 
 def node_of_token(token: str) -> str | None:
-    """The name of the node that a liveliness token announces; None for a token of anything else."""
+    """Full name of the node that a liveliness token announces (`/twin`); None for a token of anything else."""
     parts = token.split("/")
     is_node = len(parts) == 9 and parts[0] == ADMIN_SPACE and parts[5] == EntityKind.NODE.value
-    return parts[8] if is_node else None
+    return full_name(parts[8], _plain(parts[7])) if is_node else None
+
+
+def full_name(node: str, namespace: str = "/") -> str:
+    """A node's name with its namespace: `/cell/twin`, or `/twin` in that of all."""
+    return f"{namespace.rstrip('/')}/{node}"
 
 
 def gid_of(token: str) -> bytes:

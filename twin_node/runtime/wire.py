@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from twin_node.messages import Message, MessageTypes, builtin_types, serialize
+from twin_node.messages.services import ServiceType
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint
+from twin_node.runtime.services import Answer
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,11 @@ class Wire(Protocol):
     def is_heard(self, node: str, topic: str, kind: TopicKind) -> bool:
         """Whether anybody would get what node `node` sends on `topic`."""
 
+    def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
+        """Answers as node `node` what other processes ask of the service `name`, until cancelled."""
+
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Publishers and subscribers of the whole graph, as far as this end has been told by now."""
+        """What nodes of the whole graph send, hear and serve, as far as this end has been told by now."""
 
     def close(self) -> None:
         """Ends all traffic."""
@@ -111,6 +116,10 @@ class LocalWire:
         """Whether a thread of this process listens."""
         with self._lock:
             return bool(self._sinks.get(topic))
+
+    def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
+        """Nothing: threads of one process ask each other nothing."""
+        return lambda: None
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """None: threads of one process need no discovery."""

@@ -171,9 +171,9 @@ class WireBus:
         )
 
     def close(self) -> None:
-        """Ends all subscriptions; what waits in inboxes will be forgotten."""
-        for cancel in self._cancels:
-            cancel()
+        """Ends all subscriptions; what waits in inboxes will be forgotten. Again it does nothing."""
+        while self._cancels:
+            self._cancels.pop()()
         for subscription, _ in self._subscriptions:
             subscription.is_closed = True
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from twin_node.errors import TwinError
 from twin_node.ranges import PORTS
+from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
 
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh looks for a router, on this host alone."""
@@ -65,6 +66,10 @@ class ZenohParameters:
             raise WireError(f"ros_distro: expected one of {', '.join(DISTRIBUTIONS)}, found '{self.ros_distro}'")
         for endpoint in (self.endpoint, *filter(None, self.routers)):
             _check_port(endpoint)
+
+    def spoken(self, type_hash: str) -> str:
+        """What stands for a type's hash in keys and tokens."""
+        return HUMBLE_HASH if self.ros_distro == "humble" else type_hash
 
     @property
     def domain_id(self) -> int:

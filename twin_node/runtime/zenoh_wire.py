@@ -15,10 +15,10 @@ from functools import cache
 from typing import Any
 
 from twin_node.messages import builtin_types
-from twin_node.runtime.qos import TopicKind
+from twin_node.messages.services import ServiceType
+from twin_node.runtime.qos import RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import (
     ADMIN_SPACE,
-    HUMBLE_HASH,
     Attachment,
     Endpoint,
     EntityKind,
@@ -30,6 +30,7 @@ from twin_node.runtime.rmw_zenoh import (
     topic_key,
     unpack_attachment,
 )
+from twin_node.runtime.services import Answer, ServiceDesk
 from twin_node.runtime.wire import Cancel, Encoded, LocalWire, Send, Sink, encoded
 from twin_node.runtime.zenoh_session import ZenohParameters, open_session
 
@@ -51,6 +52,7 @@ class ZenohWire:
         self._numbers = itertools.count()
         self._nodes: dict[str, NodeIdentity] = {}
         self._senders: dict[tuple[str, str], _Sender] = {}
+        self._desk = ServiceDesk()
         self._kept: list[Any] = []
         self._graph: dict[str, Endpoint] = {}
         self._is_watching = False
@@ -104,6 +106,21 @@ class ZenohWire:
 
         return cancel
 
+    def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
+        """Answers as node `node` what other processes ask of the service `name`, until cancelled."""
+        type_hash = self._parameters.spoken(service.type_hash)
+        kind = TopicKind(service.name, RELIABLE)
+        endpoint = self._endpoint(EntityKind.SERVICE, node, name, kind, type_hash)
+        key = topic_key(self._domain, name, service.name, type_hash)
+        queryable = self._keep(self._desk.open(self._session, key, service, answer))
+        token = self._announce(endpoint_token(endpoint))
+
+        def cancel() -> None:
+            self._drop(queryable)
+            self._drop(token)
+
+        return cancel
+
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Publishers and subscribers of the domain that are alive, as far as this session has been told.
 
@@ -135,6 +152,7 @@ class ZenohWire:
         self._is_closed = True
         _open.discard(self)
         self._local.close()
+        self._desk.close()
         with self._lock:
             kept, self._kept = self._kept, []
         for entity in reversed(kept):
@@ -195,12 +213,10 @@ class ZenohWire:
         return identity
 
     def _hash_of(self, kind: TopicKind, message: Any = None) -> str:
-        if self._parameters.ros_distro == "humble":
-            return HUMBLE_HASH
         if kind.type_hash is not None:
-            return kind.type_hash
+            return self._parameters.spoken(kind.type_hash)
         types = message.types if isinstance(message, Encoded) else builtin_types()
-        return types.type_hash(kind.msgtype or "")
+        return self._parameters.spoken(types.type_hash(kind.msgtype or ""))
 
     def _announce(self, token: str) -> Any:
         return self._keep(self._session.liveliness().declare_token(token))

@@ -19,7 +19,9 @@ from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, kind_of, 
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
+from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
 from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.parameter_services import Parameter, serve_parameters
 from twin_node.runtime.parameters import fill
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus
@@ -67,6 +69,9 @@ class NodeThread:
         self._told: tuple[Traffic, ...] = ()
         """What was last said of the node's subscriptions."""
         self._node: Node | None = None
+        self._is_deaf = False
+        """Whether the node was deactivated while the graph goes on: it hears nothing till it begins anew."""
+        self._parameters: dict[str, Parameter] = {}
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def make(self) -> None:
@@ -87,6 +92,8 @@ class NodeThread:
             lambda: self._executor.is_stopped,
         )
         self._node = find_factory(self.name)(setup)
+        self._is_deaf = False
+        self._parameters.update(setup.read(self._order.follows_clock))
 
     def configure(self) -> None:
         """Configures the node, and makes it first where that was not done. Raises what the node raises."""
@@ -96,8 +103,10 @@ class NodeThread:
         self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
 
     def start(self) -> None:
-        """Lets the node's thread run; the node stays inactive."""
+        """Lets the node's thread run; the node stays inactive. Others may ask about it, and lead it, from now on."""
         self._thread.start()
+        serve_parameters(self._wire, self.name, self._parameters)
+        serve_lifecycle(self._wire, self.name, self)
 
     def abandon(self) -> None:
         """Cleans up a node whose thread is not to be started, for another one was refused."""
@@ -107,6 +116,15 @@ class NodeThread:
     def activate(self) -> None:
         """Activates the node, in its thread."""
         self._orders.offer(self._activate)
+
+    @property
+    def lifecycle(self) -> LifecycleState:
+        """Where the node is in its life; from any thread."""
+        return LifecycleState.UNCONFIGURED if self._node is None else self._node.state
+
+    def change(self, transition: Transition, done: Callable[[bool], None]) -> None:
+        """Leads the node through a transition, in its thread, and calls `done(whether it went)` there."""
+        self._orders.offer(partial(self._change, transition, done))
 
     def begin_anew(self) -> None:
         """Replaces the node by a fresh one, in its thread."""
@@ -135,21 +153,58 @@ class NodeThread:
             self.has_begun = True
 
     def _remake(self) -> None:
-        is_active = self._made.state is LifecycleState.ACTIVE
-        self._end_node()
-        self._executor.clear_timers()
-        self.make()
-        gc.collect()  # the node before and its bus hold each other, and this process looks for such rarely
-        self.configure()
+        is_active, is_configured = self.lifecycle is LifecycleState.ACTIVE, self._node is not None
+        self._forget()
+        if is_configured:
+            self.configure()
         if is_active:
             self._made.activate()
 
+    def _forget(self) -> None:
+        """Ends the node and all that it had begun; there is none then."""
+        self._end_node()
+        self._executor.clear_timers()
+        self._node = None
+        gc.collect()  # the node before and its bus hold each other, and this process looks for such rarely
+
     def _end_node(self) -> None:
+        if self._node is None:
+            return
         if self._made.state is LifecycleState.ACTIVE:
             self._made.deactivate()
         if self._made.state is LifecycleState.INACTIVE:
             self._made.cleanup()
         self._bus.close()
+
+    def _change(self, transition: Transition, done: Callable[[bool], None]) -> None:
+        if STEPS[transition].start is not self.lifecycle:  # another transition was quicker
+            done(False)
+            return
+        try:
+            self._go(transition)
+        except BaseException:
+            done(False)
+            raise
+        done(True)
+
+    def _go(self, transition: Transition) -> None:
+        if transition is Transition.CONFIGURE:
+            self.configure()
+        elif transition is Transition.CLEANUP:
+            self._forget()
+        elif transition is Transition.ACTIVATE:
+            if self._is_deaf:
+                self._forget()
+                self.configure()
+            self._activate()
+        elif transition is Transition.DEACTIVATE:
+            self._made.deactivate()
+            self._bus.close()
+            self._executor.clear_timers()
+            self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+            self._is_deaf = True
+        else:
+            self._finish()
 
     def _finish(self) -> None:
         self._executor.stop()
@@ -165,6 +220,9 @@ class NodeThread:
     def _diagnose(self) -> None:
         before, self._told = self._told, self._bus.traffic
         own = (_traffic_diagnosis(self.name, self._told, before), *self._made.diagnoses())
+        if self._is_deaf:
+            told = f"deactivated; 'twin_node lifecycle set /{self.name} activate' lets it begin anew"
+            own = (convert.Diagnosis(f"{self.name}: lifecycle", convert.Level.WARN, told),)
         self._bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(self._clock.now(), own))
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
+from twin_node.runtime.parameter_services import USE_SIM_TIME, Parameter, ParameterType, parameters_of
 from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
@@ -46,6 +47,8 @@ class Setup:
     None: none does."""
     is_ending: Callable[[], bool] = lambda: False
     """Whether the node is to end as soon as what it does now is done."""
+    taken: dict[str, Any] = field(default_factory=dict)
+    """What the node has read of its parameters, as dataclasses: its own section without a name, others by theirs."""
 
     def parameters(self, kind: type[T], section: str | None = None) -> T:
         """The dataclass `kind` filled from the node's section and, for keys that it has, from `/**`.
@@ -53,7 +56,17 @@ class Setup:
         Raises `ParameterError` for an unknown key of the node's own section, with the nearest known one.
         """
         name = self.name if section is None else section
-        return fill(kind, values_of(kind, name, self.sections), f"{self.where}: {name}")
+        filled = fill(kind, values_of(kind, name, self.sections), f"{self.where}: {name}")
+        if name == self.name:
+            self.taken[""] = filled
+        return filled
+
+    def read(self, follows_clock: bool) -> dict[str, Parameter]:
+        """By name, the parameters that the node has read so far, and `use_sim_time`: what others are told of it."""
+        found = {USE_SIM_TIME: Parameter(ParameterType.BOOL, follows_clock, "Whether the node's time is /clock's.")}
+        for section, values in self.taken.items():
+            found.update(parameters_of(values, section))
+        return found
 
     def rig(self) -> RigParameters:
         """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same.
@@ -64,10 +77,16 @@ class Setup:
         played = self.sections.get("player", {})
         if told.get("log") and told["log"] == played.get("log"):
             told = {"remap": played.get("remap", ()), **told}
-        return fill(RigParameters, told, f"{self.where}: {EVERY_NODE}: rig")
+        rig = fill(RigParameters, told, f"{self.where}: {EVERY_NODE}: rig")
+        self.taken["rig"] = rig
+        return rig
 
-    def chain_parameters(self) -> ChainParameters:
-        """The parameters of the chain's nodes."""
+    def chain_parameters(self, *own: str) -> ChainParameters:
+        """The parameters of the chain's nodes; `own`: sections that are this node's, beside the one of its name."""
         from twin_node.nodes.chain_parameters import chain_parameters  # much to load where no node of it runs
 
-        return chain_parameters(self.sections, self.where)
+        chain = chain_parameters(self.sections, self.where)
+        if hasattr(chain, self.name):
+            self.taken[""] = getattr(chain, self.name)
+        self.taken.update({name: getattr(chain, name) for name in own})
+        return chain

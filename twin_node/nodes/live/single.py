@@ -6,6 +6,7 @@ import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from twin_node.messages import convert
@@ -14,8 +15,10 @@ from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import CLOCK, GraphError, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
 from twin_node.runtime.neighbours import NodeNames
-from twin_node.runtime.node import Node
+from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.parameter_services import serve_parameters
 from twin_node.runtime.parameters import Sections
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
@@ -36,6 +39,23 @@ class _GraphTime:
 
     def _set(self, message: Encoded) -> None:
         self._followed.set(convert.clock_from_message(message.decode()))
+
+
+@dataclass(frozen=True)
+class _Led:
+    """A node that lives as long as its command: others can end it, and lead it through nothing else."""
+
+    node: Node
+    end: Callable[[], None]
+
+    @property
+    def lifecycle(self) -> LifecycleState:
+        return self.node.state
+
+    def change(self, transition: Transition, done: Callable[[bool], None]) -> None:
+        done(STEPS[transition].is_shutdown)
+        if STEPS[transition].is_shutdown:
+            self.end()
 
 
 @contextlib.contextmanager
@@ -97,6 +117,8 @@ def run_single(
         node: Node = find_factory(kind)(setup)
         node.configure()
         node.activate()
+        serve_parameters(wire, kind, setup.read(follows_clock))
+        serve_lifecycle(wire, kind, _Led(node, executor.stop))
         try:
             if when_active is not None:
                 when_active(node)

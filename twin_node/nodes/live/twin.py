@@ -7,6 +7,7 @@ from typing import Any
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
+from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.model import Following
@@ -16,7 +17,8 @@ from twin_node.runtime.node import Node
 
 def make_twin(setup: Setup) -> Node:
     """Drift watch, model, forecast and status in one thread: what they hand on stays where it is."""
-    return TwinNode(setup, read_rig(setup.rig()), setup.chain_parameters())
+    own = [section for section in CHAIN_SECTIONS if section not in KINDS]
+    return TwinNode(setup, read_rig(setup.rig()), setup.chain_parameters(*own))
 
 
 class TwinNode(Node):

@@ -1,0 +1,286 @@
+"""What a node's parameters are to other ROS 2 programs: `ros2 param list`, `get`, `describe` and `dump`.
+
+A node takes its parameters when it is made, so that others can read them and none can be set.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import difflib
+import inspect
+import json
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+from twin_node.messages import Message, message_type
+from twin_node.messages.services import service_type
+from twin_node.runtime.services import Answer, Reply
+from twin_node.runtime.wire import Wire
+
+SEPARATOR = "."
+"""Between the names of nested parameters."""
+USE_SIM_TIME = "use_sim_time"
+"""A parameter that every node of ROS 2 has: whether its time is that of `/clock`."""
+_LARGEST = 2**63 - 1
+_SECRET = re.compile(r"(?<=://)[^/@\s]+@")
+"""Who logs in at an address, and by which password: nothing for everybody on the network."""
+
+
+class ParameterType(IntEnum):
+    """As in `rcl_interfaces/msg/ParameterType`."""
+
+    NOT_SET = 0
+    BOOL = 1
+    INTEGER = 2
+    DOUBLE = 3
+    STRING = 4
+    BYTE_ARRAY = 5
+    BOOL_ARRAY = 6
+    INTEGER_ARRAY = 7
+    DOUBLE_ARRAY = 8
+    STRING_ARRAY = 9
+
+
+_OF_ONE = {
+    bool: ParameterType.BOOL,
+    int: ParameterType.INTEGER,
+    float: ParameterType.DOUBLE,
+    str: ParameterType.STRING,
+}
+_OF_SEVERAL = {
+    bool: ParameterType.BOOL_ARRAY,
+    int: ParameterType.INTEGER_ARRAY,
+    float: ParameterType.DOUBLE_ARRAY,
+    str: ParameterType.STRING_ARRAY,
+}
+_FIELDS = {kind: f"{kind.name.lower()}_value" for kind in ParameterType if kind is not ParameterType.NOT_SET}
+"""Type -> the field of `rcl_interfaces/msg/ParameterValue` that holds it."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node."""
+
+    kind: ParameterType
+    value: Any
+    """None where it is not set."""
+    description: str = ""
+
+    def to_message(self) -> Message:
+        """A `rcl_interfaces/msg/ParameterValue`."""
+        return _value_message(self.kind, self.value)
+
+
+def parameters_of(values: Any, prefix: str = "") -> dict[str, Parameter]:
+    """The fields of a dataclass, by name; those of dataclasses and mappings in it by names such as `limiter.ramp_s`.
+
+    What ROS 2 has no type for, as a list of lists, is a text in JSON.
+    """
+    found: dict[str, Parameter] = {}
+    for name, value, description in _members(values):
+        full = f"{prefix}{SEPARATOR}{name}" if prefix else name
+        if dataclasses.is_dataclass(value) or (isinstance(value, Mapping) and value):
+            found.update(parameters_of(value, full))
+        else:
+            found[full] = _parameter(value, description)
+    return found
+
+
+def serve_parameters(wire: Wire, node: str, parameters: Mapping[str, Parameter]) -> None:
+    """Answers as node `node` what others ask about its parameters, as long as the wire is open.
+
+    `parameters` are looked up with every request.
+    """
+    answers = {
+        "list_parameters": ("ListParameters", _list),
+        "get_parameters": ("GetParameters", _get),
+        "get_parameter_types": ("GetParameterTypes", _get_types),
+        "describe_parameters": ("DescribeParameters", _describe),
+        "set_parameters": ("SetParameters", _set),
+        "set_parameters_atomically": ("SetParametersAtomically", _set_atomically),
+    }
+    for name, (kind, answer) in answers.items():
+        wire.serve(node, f"/{node}/{name}", service_type(f"rcl_interfaces/srv/{kind}"), _bound(answer, parameters))
+
+
+def _bound(answer: Any, parameters: Mapping[str, Parameter]) -> Answer:
+    def given(request: Message, reply: Reply) -> None:
+        reply(answer(parameters, request))
+
+    return given
+
+
+def value_of(message: Message) -> Any:
+    """What a `rcl_interfaces/msg/ParameterValue` holds; None where it is not set, or of no known type."""
+    try:
+        kind = ParameterType(message.type)
+    except ValueError:
+        return None
+    if kind is ParameterType.NOT_SET:
+        return None
+    value = getattr(message, _FIELDS[kind])
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _members(values: Any) -> Iterator[tuple[str, Any, str]]:
+    """Name, value and description of what a dataclass or a mapping holds."""
+    if isinstance(values, Mapping):
+        yield from ((str(key), value, "") for key, value in values.items())
+        return
+    kind: Any = type(values)
+    described = _descriptions(kind)
+    for field in dataclasses.fields(values):
+        if field.init:
+            yield field.name, getattr(values, field.name), described.get(field.name, "")
+
+
+def _parameter(value: Any, description: str) -> Parameter:
+    """A plain value with the type that ROS 2 has for it."""
+    value = _plain(value)
+    if value is None:
+        return Parameter(ParameterType.NOT_SET, None, description)
+    if type(value) in _OF_ONE:
+        return Parameter(_OF_ONE[type(value)], value, description)
+    if isinstance(value, list):
+        kinds = {type(one) for one in value} or {str}
+        if kinds == {int, float}:
+            value, kinds = [float(one) for one in value], {float}
+        if len(kinds) == 1 and (kind := kinds.pop()) in _OF_SEVERAL:
+            return Parameter(_OF_SEVERAL[kind], value, description)
+    return Parameter(ParameterType.STRING, json.dumps(value), description)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it; a whole number that ROS 2 has no room for is one with a fraction."""
+    if isinstance(value, Enum):
+        return _plain(value.value)
+    if dataclasses.is_dataclass(value) or isinstance(value, Mapping):
+        return {name: _plain(inside) for name, inside, _ in _members(value)}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [_plain(one) for one in value]
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > _LARGEST:
+        return float(value)
+    return value if value is None or isinstance(value, bool | int | float) else _SECRET.sub("***@", str(value))
+
+
+@cache
+def _descriptions(kind: Any) -> Mapping[str, str]:
+    """What stands below each field of a dataclass in its source, in one line each."""
+    found: dict[str, str] = {}
+    for one in reversed(kind.__mro__):
+        try:
+            (written,) = ast.parse(textwrap.dedent(inspect.getsource(one))).body
+        except (OSError, TypeError, SyntaxError, ValueError):
+            continue  # made while the program runs: nothing is written of it
+        body = getattr(written, "body", [])
+        for field, below in pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
+                text = getattr(below.value, "value", None)
+                if isinstance(text, str):
+                    found[field.target.id] = " ".join(text.split())
+    return found
+
+
+def _list(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    """As rclcpp has it: a depth of 0 is any, others count the parts of a name after its prefix."""
+    prefixes, depth = request.prefixes, int(request.depth)
+
+    def is_asked(name: str) -> bool:
+        for prefix in prefixes or [""]:
+            if name == prefix:
+                return True
+            inside = name.removeprefix(f"{prefix}{SEPARATOR}") if prefix else name
+            if (not prefix or inside != name) and (depth == 0 or inside.count(SEPARATOR) < depth):
+                return True
+        return False
+
+    names = [name for name in parameters if is_asked(name)]
+    found = dict.fromkeys(name.rpartition(SEPARATOR)[0] for name in names if SEPARATOR in name)
+    result = message_type("rcl_interfaces/msg/ListParametersResult")(names=names, prefixes=list(found))
+    return service_type("rcl_interfaces/srv/ListParameters").answer(result=result)
+
+
+def _get(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    values = [parameters.get(name, _UNDECLARED).to_message() for name in request.names]
+    return service_type("rcl_interfaces/srv/GetParameters").answer(values=values)
+
+
+def _get_types(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    import numpy as np
+
+    kinds = np.array([parameters.get(name, _UNDECLARED).kind for name in request.names], np.uint8)
+    return service_type("rcl_interfaces/srv/GetParameterTypes").answer(types=kinds)
+
+
+def _describe(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    made = message_type("rcl_interfaces/msg/ParameterDescriptor")
+    descriptors = [
+        made(
+            name=name,
+            type=int((known := parameters.get(name, _UNDECLARED)).kind),
+            description=known.description,
+            additional_constraints="",
+            read_only=True,
+            dynamic_typing=False,
+            floating_point_range=[],
+            integer_range=[],
+        )
+        for name in request.names
+    ]
+    return service_type("rcl_interfaces/srv/DescribeParameters").answer(descriptors=descriptors)
+
+
+def _set(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    results = [_result(_refusal(parameters, one)) for one in request.parameters]
+    return service_type("rcl_interfaces/srv/SetParameters").answer(results=results)
+
+
+def _set_atomically(parameters: Mapping[str, Parameter], request: Message) -> Message:
+    refusals = [refusal for one in request.parameters if (refusal := _refusal(parameters, one))]
+    answered = _result(refusals[0] if refusals else "")
+    return service_type("rcl_interfaces/srv/SetParametersAtomically").answer(result=answered)
+
+
+def _refusal(parameters: Mapping[str, Parameter], wanted: Message) -> str:
+    """Why a parameter is not set; nothing where it has that value."""
+    known = parameters.get(wanted.name)
+    if known is None:
+        near = difflib.get_close_matches(wanted.name, parameters, n=1)
+        return f"unknown parameter '{wanted.name}'" + (f"; did you mean '{near[0]}'?" if near else "")
+    if value_of(wanted.value) == known.value:
+        return ""
+    return f"'{wanted.name}' is read when the node is made: set it in the launch file, or with -p, and launch again"
+
+
+def _result(refusal: str) -> Message:
+    return message_type("rcl_interfaces/msg/SetParametersResult")(successful=not refusal, reason=refusal)
+
+
+def _value_message(kind: ParameterType, value: Any) -> Message:
+    import numpy as np
+
+    empty: dict[str, Any] = {
+        "bool_value": False,
+        "integer_value": 0,
+        "double_value": 0.0,
+        "string_value": "",
+        "byte_array_value": np.zeros(0, np.uint8),
+        "bool_array_value": np.zeros(0, np.bool_),
+        "integer_array_value": np.zeros(0, np.int64),
+        "double_array_value": np.zeros(0, np.float64),
+        "string_array_value": [],
+    }
+    if kind is not ParameterType.NOT_SET:
+        default = empty[_FIELDS[kind]]
+        empty[_FIELDS[kind]] = np.array(value, default.dtype) if isinstance(default, np.ndarray) else value
+    return message_type("rcl_interfaces/msg/ParameterValue")(type=int(kind), **empty)
+
+
+_UNDECLARED = Parameter(ParameterType.NOT_SET, None)

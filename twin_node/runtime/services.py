@@ -1,0 +1,114 @@
+"""Services over zenoh as rmw_zenoh has them: a server is a queryable, a request a query, and each has an attachment.
+
+Source: `rmw_service_data.cpp` and `rmw_client_data.cpp` of ros2/rmw_zenoh.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from twin_node.messages import Message, MessageError
+from twin_node.messages.services import ServiceType
+from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, Attachment, node_of_token, topic_key, unpack_attachment
+from twin_node.runtime.zenoh_session import ZenohParameters, open_client
+
+Reply: TypeAlias = Callable[[Message], None]
+"""Takes the response to a request, once; at once or later, in any thread."""
+Answer: TypeAlias = Callable[[Message, Reply], None]
+"""Answers a request. It is called in a thread that all services of a process share, so it must be quick."""
+
+PATIENCE_S = 10.0
+"""How long a client waits for a response, s, as rmw_zenoh does."""
+
+
+class ServiceDesk:
+    """Answers, in a thread of its own, what others ask of this process's nodes."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def open(self, session: Any, key: str, service: ServiceType, answer: Answer) -> Any:
+        """A queryable that has `answer` asked whatever comes under a key; a request that is none gets no response."""
+        from zenoh import handlers
+
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="services", daemon=True)
+            self._thread.start()
+
+        def take(query: Any) -> None:
+            self._waiting.put(lambda: _answer(query, key, service, answer))
+
+        return session.declare_queryable(key, handlers.Callback(take, indirect=False), complete=True)
+
+    def close(self) -> None:
+        """Answers nobody any more."""
+        self._waiting.put(None)
+
+    def _work(self) -> None:
+        while (do := self._waiting.get()) is not None:
+            do()
+
+
+def _answer(query: Any, key: str, service: ServiceType, answer: Answer) -> None:
+    asked = unpack_attachment(query.attachment.to_bytes()) if query.attachment is not None else None
+    payload = query.payload.to_bytes() if query.payload is not None else b""
+    if asked is None:
+        return  # no client of rmw_zenoh: there is nobody to address
+    try:
+        request = service.types.deserialize(payload, service.request)
+    except MessageError:
+        return
+
+    def reply(response: Message) -> None:
+        attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).pack()
+        query.reply(key, bytes(service.types.serialize(response)), attachment=attachment)
+        query.drop()  # nothing more comes: who asks need not wait
+
+    answer(request, reply)
+
+
+class ServiceClient:
+    """Asks nodes of the graph, other programs' too; for as long as it is open."""
+
+    def __init__(self, parameters: ZenohParameters) -> None:
+        """Raises `WireError` where no router answers, or zenoh is not installed."""
+        self._parameters = parameters
+        self._session = open_client(parameters)
+        self._asked = 0
+
+    def nodes(self) -> tuple[str, ...]:
+        """Full names of the nodes that are alive in the domain, sorted: `/twin`."""
+        pattern = f"{ADMIN_SPACE}/{self._parameters.domain_id}/**"
+        tokens = [str(reply.ok.key_expr) for reply in self._session.liveliness().get(pattern) if reply.ok is not None]
+        return tuple(sorted({name for token in tokens if (name := node_of_token(token)) is not None}))
+
+    def ask(self, name: str, service: ServiceType, patience_s: float = PATIENCE_S, **fields: object) -> Message | None:
+        """The response of the service `name` to a request of these fields; None where none comes in that time.
+
+        Raises `MessageError` where what comes is none.
+        """
+        import zenoh
+
+        self._asked += 1
+        key = topic_key(self._parameters.domain_id, name, service.name, self._parameters.spoken(service.type_hash))
+        attachment = Attachment(self._asked, time.time_ns(), bytes.fromhex(str(self._session.info.zid()).zfill(32)))
+        replies = self._session.get(
+            key,
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            payload=bytes(service.types.serialize(service.ask(**fields))),
+            attachment=attachment.pack(),
+            timeout=patience_s,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return service.types.deserialize(reply.ok.payload.to_bytes(), service.response)
+        return None
+
+    def close(self) -> None:
+        """Ends the session."""
+        self._session.close()
