@@ -141,6 +141,29 @@ def test_what_is_played_is_recorded(tmp_path: Path, start: Callable[..., subproc
     assert set(heard) <= known
 
 
+def test_a_recording_can_be_ended_by_whoever_leads_the_graph(
+    tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """A node that lives as long as its command says what it is set to, and ends in order; it does nothing else."""
+    recorder = start("record", "--all", "-o", str(tmp_path / "out"))
+    assert recorder.stdout is not None and recorder.stdout.readline().startswith("recording into")
+
+    def said(*arguments: str) -> str:
+        asked = start(*arguments)
+        said, _ = asked.communicate(timeout=PATIENCE_S)
+        return said.strip()
+
+    until = time.monotonic() + PATIENCE_S
+    while said("lifecycle", "get", "recorder") != "active" and time.monotonic() < until:
+        time.sleep(0.1)
+    assert said("param", "get", "recorder", "output") == str(tmp_path / "out")
+    assert said("lifecycle", "set", "recorder", "deactivate") == ""
+    assert said("lifecycle", "get", "recorder") == "active"
+    assert said("lifecycle", "set", "recorder", "shutdown") == "/recorder: finalized"
+    assert recorder.wait(PATIENCE_S) == 0
+    assert (tmp_path / "out" / "metadata.yaml").exists(), "it ended in order"
+
+
 def test_a_recording_without_its_folder_is_refused_before_it_is_announced(
     tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
 ) -> None:

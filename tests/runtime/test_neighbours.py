@@ -14,7 +14,8 @@ from twin_node.bench.graph_run import free_endpoint
 from twin_node.nodes.topics import SEPARATION, kind_of_own
 from twin_node.runtime import neighbours
 from twin_node.runtime.neighbours import NodeNames
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.rmw_zenoh import NodeIdentity, node_token
+from twin_node.runtime.zenoh_session import ZenohParameters, open_router, open_session
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 pytest.importorskip("zenoh")
@@ -61,6 +62,18 @@ def test_names_that_are_claimed_or_alive_are_taken_until_their_owner_ends(networ
     with NodeNames(network, ["twin"]) as again, NodeNames(network, ["recorder"]) as alive:
         assert again.taken() is None
         assert alive.taken() == "recorder"
+
+
+def test_a_node_of_that_name_in_a_namespace_is_another_one(network: ZenohParameters) -> None:
+    """An arm of another program's, `/line/arm`, kept launches from beginning."""
+    with contextlib.closing(open_session(network)) as session, NodeNames(network, ["arm"]) as names:
+        tokens = [session.liveliness().declare_token(node_token(NodeIdentity("a1", 0, "arm", "/line")))]
+        assert names.taken() is None
+        tokens.append(session.liveliness().declare_token(node_token(NodeIdentity("a1", 1, "arm"))))
+        until = time.monotonic() + 20.0
+        while names.taken() is None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert names.taken() == "arm"
 
 
 def test_a_name_is_free_as_soon_as_the_node_that_had_it_ends(network: ZenohParameters) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -16,8 +17,11 @@ import numpy as np
 import pytest
 
 from twin_node.messages import definition, header, message_type, serialize, to_duration, type_hash
+from twin_node.messages.services import service_type
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.parameter_services import parameters_of, serve_parameters
 from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
+from twin_node.runtime.services import ServiceClient
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -43,6 +47,7 @@ def kind_of(topic: str) -> TopicKind:
 class Us:
     """Our side of a round trip."""
 
+    wire: ZenohWire
     bus: WireBus
     executor: Executor
     port: int
@@ -63,7 +68,7 @@ class Us:
 def us(zenoh_router: ZenohParameters) -> Iterator[Us]:
     wire, executor = ZenohWire(zenoh_router), Executor()
     port = int(zenoh_router.endpoint.rpartition(":")[2])
-    yield Us(WireBus(wire, executor, "twin", kind_of), executor, port)
+    yield Us(wire, WireBus(wire, executor, "twin", kind_of), executor, port)
     wire.close()
 
 
@@ -104,6 +109,26 @@ def test_messages_go_both_ways_with_zenoh_ros2_sdk(us: Us, start_peer: Callable[
             if answers == {"echo hello", "kept map"}:  # in either order
                 return
     raise AssertionError(f"expected an echo, and for the late joiner the latched message, found {answers}")
+
+
+def test_services_are_asked_and_answered_with_zenoh_ros2_sdk(
+    us: Us, zenoh_router: ZenohParameters, start_peer: Callable[..., None]
+) -> None:
+    need("zenoh_ros2_sdk")
+    kind = service_type("rcl_interfaces/srv/GetParameterTypes")
+    serve_parameters(us.wire, "twin", parameters_of({"on": True, "width": 640}))
+    told: list[str] = []
+    us.bus.subscribe("/from_peer", lambda message: told.append(message.data))
+    start_peer("sdk_services.py", str(us.port), kind.type_hash)
+    with contextlib.closing(ServiceClient(zenoh_router)) as client:
+        for _ in range(ATTEMPTS):
+            answer = client.ask("/peer/get_parameter_types", kind, 1.0, names=["a", "three"])
+            us.executor.step(0.1)
+            if answer is not None and "types [1, 2]" in told:
+                break
+        assert answer is not None, "the peer did not answer"
+        assert answer.types.tolist() == [1, 5]
+        assert "types [1, 2]" in told, "the peer was not answered"
 
 
 def test_our_own_messages_go_both_ways_with_zenoh_ros2_sdk(us: Us, start_peer: Callable[..., None]) -> None:

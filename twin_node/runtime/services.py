@@ -57,11 +57,12 @@ class ServiceDesk:
 def _answer(query: Any, key: str, service: ServiceType, answer: Answer) -> None:
     asked = unpack_attachment(query.attachment.to_bytes()) if query.attachment is not None else None
     payload = query.payload.to_bytes() if query.payload is not None else b""
-    if asked is None:
-        return  # no client of rmw_zenoh: there is nobody to address
     try:
         request = service.types.deserialize(payload, service.request)
     except MessageError:
+        request = None
+    if asked is None or request is None:  # no client of rmw_zenoh: it need not wait
+        query.drop()
         return
 
     def reply(response: Message) -> None:

@@ -153,10 +153,11 @@ class NodeThread:
             self.has_begun = True
 
     def _remake(self) -> None:
-        is_active, is_configured = self.lifecycle is LifecycleState.ACTIVE, self._node is not None
+        if self._node is None:
+            return
+        is_active = self._made.state is LifecycleState.ACTIVE
         self._forget()
-        if is_configured:
-            self.configure()
+        self._begin()
         if is_active:
             self._made.activate()
 
@@ -165,7 +166,12 @@ class NodeThread:
         self._end_node()
         self._executor.clear_timers()
         self._node = None
+
+    def _begin(self) -> None:
+        """Makes a fresh node, and configures it."""
+        self.make()
         gc.collect()  # the node before and its bus hold each other, and this process looks for such rarely
+        self.configure()
 
     def _end_node(self) -> None:
         if self._node is None:
@@ -189,13 +195,13 @@ class NodeThread:
 
     def _go(self, transition: Transition) -> None:
         if transition is Transition.CONFIGURE:
-            self.configure()
+            self._begin()
         elif transition is Transition.CLEANUP:
             self._forget()
         elif transition is Transition.ACTIVATE:
             if self._is_deaf:
                 self._forget()
-                self.configure()
+                self._begin()
             self._activate()
         elif transition is Transition.DEACTIVATE:
             self._made.deactivate()
