@@ -15,6 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from twin_node import resources
 from twin_node.errors import TwinError
+from twin_node.messages.foreign import DEFINITIONS as FOREIGN
 from twin_node.messages.rows import RowCodec
 
 Message: TypeAlias = Any
@@ -193,11 +194,13 @@ def builtin_types() -> MessageTypes:
 
 
 def read_types(folder: Path) -> MessageTypes:
-    """The ROS 2 Jazzy set and, as package `twin_msgs`, the types of a folder of `.msg` files.
+    """The ROS 2 Jazzy set, `foreign.DEFINITIONS` and, as package `twin_msgs`, the types of a folder of `.msg` files.
 
     Raises `MessageError` naming the file that is no message definition or uses a type that is nowhere defined.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in FOREIGN.items():
+        store.register(get_types_from_msg(text, name))
     own: Typesdict = {}
     for path in sorted(folder.glob("*.msg")):
         try:

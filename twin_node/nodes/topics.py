@@ -49,8 +49,12 @@ CLOCK = "/clock"
 CLOCK_FOLLOWER = "clock"
 """The name under which a process that takes its time from `/clock` listens to it."""
 OBSTACLE_MARKERS = "/viewer/obstacles"
+OCCUPIED_POINTS = "/viewer/occupancy"
+"""Where something moves within the forecast, as RViz and Foxglove show points."""
 FRUSTA = "/viewer/frusta"
 SEPARATION_MARKER = "/viewer/separation"
+COLLISION_OBJECT = "/collision_object"
+"""`moveit_msgs/CollisionObject`: where MoveIt's planning scene hears of obstacles."""
 TRUTH_OCCUPANCY = "/truth/occupancy"
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -80,6 +84,8 @@ _MESSAGE_TYPES = {
     SEPARATION_MARKER: TopicKind("visualization_msgs/msg/Marker"),
     TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", LATCHED_BY_SEVERAL),
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
+    OCCUPIED_POINTS: TopicKind("sensor_msgs/msg/PointCloud2", NEWEST),
+    COLLISION_OBJECT: TopicKind("moveit_msgs/msg/CollisionObject"),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     FRAMES: TopicKind(None, FRESH),
     **dict.fromkeys((TRUSTED_FRAMES, DRIFT, SEEN, STATE, FORECAST), TopicKind(None, EVERY)),

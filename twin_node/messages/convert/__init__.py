@@ -19,6 +19,7 @@ from twin_node.messages.convert.camera import (
     tf_static,
     transform_stamped,
 )
+from twin_node.messages.convert.collision_objects import obstacles_to_collision_object
 from twin_node.messages.convert.diagnostics import (
     Diagnosis,
     Level,
@@ -50,6 +51,7 @@ from twin_node.messages.convert.markers import (
     obstacles_to_markers,
     separation_to_marker,
 )
+from twin_node.messages.convert.pointcloud2 import occupancy_to_pointcloud2
 from twin_node.messages.convert.status import (
     Status,
     clock_from_message,
@@ -86,10 +88,12 @@ __all__ = [
     "joint_sample_to_message",
     "links_to_tf",
     "obstacles_from_message",
+    "obstacles_to_collision_object",
     "obstacles_to_markers",
     "obstacles_to_message",
     "occupancy_from_message",
     "occupancy_to_message",
+    "occupancy_to_pointcloud2",
     "of_pair",
     "optical_frame",
     "raw_image",

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.messages.convert.camera import BASE_FRAME
-from twin_node.messages.stamps import header
-from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.messages.convert.pointcloud2 import DTYPES, FLOAT32, UINT8, UINT32, point_field, pointcloud2
+from twin_node.messages.types import Message, MessageError
 from twin_node.scene import GaussianCloud, Tier
 
 FLOAT_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz", "sx", "sy", "sz", "opacity", "rgb", "vx", "vy", "vz")
 """Four bytes each, in this order from offset 0; `rgb` is 0x00RRGGBB in the bits of a float32, as PCL packs it."""
 
 ID_OFFSET, TIER_OFFSET, POINT_STEP = 60, 64, 68
-
-DTYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
-"""numpy types of the PointField constants INT8 to FLOAT64."""
-
-_UINT8, _UINT32, _FLOAT32 = 2, 6, 7
 
 
 def gaussians_to_pointcloud2(cloud: GaussianCloud, stamp: int) -> Message:
@@ -37,17 +31,7 @@ def gaussians_to_pointcloud2(cloud: GaussianCloud, stamp: int) -> Message:
     points[:, :ID_OFFSET].view("<u4")[:, 11] = levels[:, 0] << 16 | levels[:, 1] << 8 | levels[:, 2]
     points[:, ID_OFFSET:TIER_OFFSET].view("<u4")[:, 0] = cloud.ids
     points[:, TIER_OFFSET] = cloud.tiers
-    return message_type("sensor_msgs/msg/PointCloud2")(
-        header=header(stamp, BASE_FRAME),
-        height=1,
-        width=n,
-        fields=_fields(),
-        is_bigendian=False,
-        point_step=POINT_STEP,
-        row_step=POINT_STEP * n,
-        data=points.reshape(-1),
-        is_dense=True,
-    )
+    return pointcloud2(points, _fields(), stamp)
 
 
 def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
@@ -89,13 +73,8 @@ def gaussians_from_pointcloud2(message: Message) -> GaussianCloud:
 
 
 def _fields() -> list[Message]:
-    field = message_type("sensor_msgs/msg/PointField")
-    floats = [field(name=n, offset=4 * i, datatype=_FLOAT32, count=1) for i, n in enumerate(FLOAT_FIELDS)]
-    return [
-        *floats,
-        field(name="id", offset=ID_OFFSET, datatype=_UINT32, count=1),
-        field(name="tier", offset=TIER_OFFSET, datatype=_UINT8, count=1),
-    ]
+    floats = [point_field(name, 4 * number, FLOAT32) for number, name in enumerate(FLOAT_FIELDS)]
+    return [*floats, point_field("id", ID_OFFSET, UINT32), point_field("tier", TIER_OFFSET, UINT8)]
 
 
 def _points(message: Message) -> np.ndarray[tuple[int], np.dtype[np.void]]:
@@ -116,7 +95,7 @@ def _points(message: Message) -> np.ndarray[tuple[int], np.dtype[np.void]]:
                 f"points of {message.point_step} bytes, found datatype {field.datatype} at byte {field.offset}; the "
                 "sender is at fault"
             )
-    if present["rgb"].datatype not in (_UINT32, _FLOAT32):
+    if present["rgb"].datatype not in (UINT32, FLOAT32):
         raise MessageError(f"PointCloud2 field rgb: expected 4 packed bytes, found datatype {present['rgb'].datatype}")
     count = int(message.height) * int(message.width)
     needed = int(message.point_step) * count

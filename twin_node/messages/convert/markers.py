@@ -53,7 +53,7 @@ def obstacles_to_markers(obstacles: Obstacles) -> Message:
         marker = copy.copy(templates[ObstacleKind(int(obstacles.kinds[row]))])  # shares what all have: time is short
         marker.id = row
         marker.type = _SPHERE if obstacles.shapes[row] == ObstacleShape.SPHERE else _CUBE
-        marker.pose = _pose(obstacles.positions[row], obstacles.quats[row])
+        marker.pose = pose_message(obstacles.positions[row], obstacles.quats[row])
         marker.scale = _vector(obstacles.sizes[row])
         markers.append(marker)
     return message_type("visualization_msgs/msg/MarkerArray")(markers=markers)
@@ -67,7 +67,7 @@ def frusta_to_markers(rig: Rig, stamp: int) -> Message:
     markers = []
     for number, camera in enumerate(rig.cameras):
         marker = _marker(stamp, BASE_FRAME, "frusta", number, _LINE_LIST, FRUSTUM_COLOUR)
-        marker.pose = _pose(camera.T_base_cam[:3, 3], quat_from_rotation(camera.T_base_cam[:3, :3]))
+        marker.pose = pose_message(camera.T_base_cam[:3, 3], quat_from_rotation(camera.T_base_cam[:3, :3]))
         marker.scale = _vector(np.array([LINE_WIDTH_M, 0.0, 0.0]))
         point = message_type("geometry_msgs/msg/Point")
         marker.points = [point(x=float(x), y=float(y), z=float(z)) for x, y, z in _edges(camera)]
@@ -79,7 +79,7 @@ def separation_to_marker(separation: Separation) -> Message:
     """`visualization_msgs/msg/Marker`: the speed that the arm is left, and why, above its base."""
     share = min(max(separation.speed_fraction, 0.0), 1.0)
     marker = _marker(separation.stamp, BASE_FRAME, "separation", 0, _TEXT, (1.0 - share, share, 0.1, 1.0))
-    marker.pose = _pose(np.array([0.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0, 0.0]))
+    marker.pose = pose_message(np.array([0.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0, 0.0]))
     marker.scale = _vector(np.array([0.0, 0.0, TEXT_HEIGHT_M]))
     marker.lifetime = to_duration(LIFETIME_NS)
     marker.text = f"{100 * share:.0f} %: {separation.reason}"
@@ -117,7 +117,7 @@ def _marker(
         id=number,
         type=shape,
         action=0,
-        pose=_pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])),
+        pose=pose_message(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])),
         scale=_vector(np.zeros(3)),
         color=_rgba(colour),
         lifetime=to_duration(0),
@@ -141,7 +141,8 @@ def _rgba(colour: tuple[float, float, float, float]) -> Message:
     return message_type("std_msgs/msg/ColorRGBA")(r=red, g=green, b=blue, a=opacity)
 
 
-def _pose(position: Float64, quat: Float64) -> Message:
+def pose_message(position: Float64, quat: Float64) -> Message:
+    """A `geometry_msgs/msg/Pose`; `quat` is w, x, y, z."""
     x, y, z = (float(value) for value in position)
     qw, qx, qy, qz = (float(value) for value in quat)
     return message_type("geometry_msgs/msg/Pose")(

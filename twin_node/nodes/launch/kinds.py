@@ -20,6 +20,7 @@ KINDS = {
     "arm": "twin_node.nodes.live.beside_twin:make_arm",
     "cell": "twin_node.nodes.live.cell:make_cell",
     "cameras": "twin_node.nodes.live.cameras:make_cameras",
+    "moveit": "twin_node.nodes.live.moveit:make_moveit",
     "player": "twin_node.nodes.live.player:make_player",
     "recorder": "twin_node.nodes.live.recorder:make_recorder",
     "synchronizer": "twin_node.nodes.live.beside_twin:make_synchronizer",
@@ -34,6 +35,7 @@ KINDS = {
 PARAMETERS = {
     "cameras": "twin_node.nodes.live.cameras:CamerasParameters",
     "cell": "twin_node.nodes.live.cell:CellParameters",
+    "moveit": "twin_node.nodes.live.moveit:MoveItParameters",
     "player": "twin_node.nodes.live.player:PlayParameters",
     "recorder": "twin_node.nodes.live.recorder:RecordParameters",
     "ur_driver": "twin_node.arm.ur:UrParameters",

@@ -5,7 +5,17 @@ from __future__ import annotations
 from twin_node.messages import Message, convert
 from twin_node.nodes.live.rig_source import RigSource, read_rig
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import FRUSTA, JOINT_STATES, OBSTACLE_MARKERS, OBSTACLES, SEPARATION, SEPARATION_MARKER, TF
+from twin_node.nodes.topics import (
+    FRUSTA,
+    JOINT_STATES,
+    OBSTACLE_MARKERS,
+    OBSTACLES,
+    OCCUPANCY,
+    OCCUPIED_POINTS,
+    SEPARATION,
+    SEPARATION_MARKER,
+    TF,
+)
 from twin_node.robot import ArmModel, forward_kinematics
 from twin_node.runtime.node import Node
 from twin_node.runtime.rmw_zenoh import EntityKind
@@ -13,7 +23,7 @@ from twin_node.runtime.rmw_zenoh import EntityKind
 FRUSTA_PERIOD_S = 5.0
 """How often the frusta are sent again, for viewers that do not ask for what is latched."""
 LOOK_NS = 1_000_000_000
-"""How often it is looked who else publishes frames, ns."""
+"""How often it is looked who else publishes frames, and whether anybody looks at occupied space, ns."""
 
 
 def make_viewer_topics(setup: Setup) -> Node:
@@ -22,7 +32,7 @@ def make_viewer_topics(setup: Setup) -> Node:
 
 
 class ViewerTopicsNode(Node):
-    """Turns our own messages into `visualization_msgs` and `tf2_msgs`.
+    """Turns our own messages into `visualization_msgs`, `tf2_msgs` and points.
 
     Markers of hundreds of obstacles at camera rate, and frames at that of the controller, would keep a third of a core
     busy: they are made when somebody looks. Frames are left to whoever else publishes any: a robot_state_publisher has
@@ -38,6 +48,7 @@ class ViewerTopicsNode(Node):
         self._endpoints = setup.endpoints
         self._looked: int | None = None
         self._is_told_frames = False
+        self._hears_occupancy = False
 
     def on_configure(self) -> None:
         self._endpoints()  # it is told of others from the first call on
@@ -45,6 +56,7 @@ class ViewerTopicsNode(Node):
         self.bus.subscribe(SEPARATION, self._on_separation)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self._timers.every(FRUSTA_PERIOD_S, self._publish_frusta)
+        self._timers.every(LOOK_NS / 1e9, self._hear_occupancy)
 
     def on_activate(self) -> None:
         self._publish_frusta()
@@ -55,6 +67,17 @@ class ViewerTopicsNode(Node):
     def _on_obstacles(self, message: Message) -> None:
         if self._bus.is_heard(OBSTACLE_MARKERS):
             self.bus.publish(OBSTACLE_MARKERS, convert.obstacles_to_markers(convert.obstacles_from_message(message)))
+
+    def _hear_occupancy(self) -> None:
+        """Once somebody looks: where nobody hears it, a twin does not even send it."""
+        if not self._hears_occupancy and self._bus.is_heard(OCCUPIED_POINTS):
+            self._hears_occupancy = True
+            self.bus.subscribe(OCCUPANCY, self._on_occupancy)
+
+    def _on_occupancy(self, message: Message) -> None:
+        if self._bus.is_heard(OCCUPIED_POINTS):
+            points = convert.occupancy_to_pointcloud2(convert.occupancy_from_message(message))
+            self.bus.publish(OCCUPIED_POINTS, points)
 
     def _on_separation(self, message: Message) -> None:
         separation = convert.separation_from_message(message)
