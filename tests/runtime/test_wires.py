@@ -210,6 +210,7 @@ def test_a_publisher_knows_whether_anybody_listens(wires: tuple[ZenohWire, Zenoh
     assert not talker.bus.is_heard("/record")
     near.listen("/record")
     assert talker.bus.is_heard("/record")
+    assert talker.bus.is_heard("/map"), "what is latched is heard by whoever comes later"
 
 
 def test_of_one_publisher_nothing_that_is_older_than_what_has_come_is_taken() -> None:

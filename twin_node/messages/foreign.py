@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 DEFINITIONS = {
+    "control_msgs/msg/SpeedScalingFactor": """
+float64 factor
+""",
     "object_recognition_msgs/msg/ObjectType": """
 string key
 string db
@@ -27,4 +30,4 @@ geometry_msgs/Pose[] subframe_poses
 byte operation
 """,
 }
-"""Message type -> definition. moveit_msgs as MoveIt 2 has them since Galactic."""
+"""Message type -> definition. moveit_msgs as MoveIt 2 has them since Galactic, control_msgs as Jazzy has."""

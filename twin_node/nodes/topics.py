@@ -55,6 +55,8 @@ FRUSTA = "/viewer/frusta"
 SEPARATION_MARKER = "/viewer/separation"
 COLLISION_OBJECT = "/collision_object"
 """`moveit_msgs/CollisionObject`: where MoveIt's planning scene hears of obstacles."""
+SPEED_SCALING_INPUT = "/speed_scaling_input"
+"""`control_msgs/SpeedScalingFactor`: ends the topic on which a joint_trajectory_controller hears of its speed."""
 TRUTH_OCCUPANCY = "/truth/occupancy"
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -98,8 +100,9 @@ _SUFFIXES = {
     "/camera_info": TopicKind(CAMERA_INFO, LATCHED),
     "/image_raw": TopicKind(RAW, SENSOR_DATA),
     "/image_rect": TopicKind(RAW, SENSOR_DATA),
+    SPEED_SCALING_INPUT: TopicKind("control_msgs/msg/SpeedScalingFactor", Qos(depth=1, latched=True, repeats=True)),
 }
-"""What the topics of cameras carry, by the end of their names (REP-104, image_transport)."""
+"""What the topics of cameras (REP-104, image_transport) and controllers carry, by the end of their names."""
 
 
 _TRANSPORT = re.compile(r"/(compressed|compressedDepth|zstd)$")

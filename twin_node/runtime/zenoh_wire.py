@@ -266,12 +266,12 @@ class _RemotePublisher:
 
     @property
     def is_heard(self) -> bool:
-        """Whether another process listens."""
-        return bool(self._publisher.matching_status.matching)
+        """Whether another process listens; what is latched, one may that comes later."""
+        return self._latched or bool(self._publisher.matching_status.matching)
 
     def __call__(self, message: Any) -> None:
         self._sequence += 1
-        if not self._latched and not self.is_heard:
+        if not self.is_heard:
             return
         attachment = Attachment(self._sequence, time.time_ns(), self._gid).pack()
         self._publisher.put(bytes(encoded(message).data), attachment=attachment)

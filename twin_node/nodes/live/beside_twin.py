@@ -18,6 +18,9 @@ from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import values_of
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 
+OBEYING = (DRIVER, "speed_scaling")
+"""Nodes that slow an arm as it is decided."""
+
 
 def make_synchronizer(setup: Setup) -> Node:
     """The synchroniser, with a timer for its deadlines."""
@@ -74,8 +77,8 @@ def _launched_driver(setup: Setup) -> UrParameters | None:
 
 
 def _driving(endpoints: Iterable[Endpoint]) -> Driving:
-    """Who drives the arm, by what a driver listens to, on whatever topic: trajectories only where it servoes."""
-    heard = {e.msgtype for e in endpoints if e.kind is EntityKind.SUBSCRIBER and e.node.name == DRIVER}
+    """Who obeys, by what those listen to, on whatever topic: trajectories only where it servoes."""
+    heard = {e.msgtype for e in endpoints if e.kind is EntityKind.SUBSCRIBER and e.node.name in OBEYING}
     if kind_of_own(FOLLOW).msgtype in heard:
         return Driving.SERVOED
     return Driving.BY_SLIDER if kind_of_own(SEPARATION).msgtype in heard else Driving.NOBODY

@@ -1,0 +1,184 @@
+"""What a joint_trajectory_controller is told of its speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from twin_node.errors import TwinError
+from twin_node.messages import convert
+from twin_node.nodes.arm import Driving
+from twin_node.nodes.live import speed_scaling
+from twin_node.nodes.live.beside_twin import _driving
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.live.speed_scaling import SpeedScalingParameters, make_speed_scaling
+from twin_node.nodes.topics import SEPARATION, kind_of, kind_of_own
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
+from twin_node.runtime.wire import LocalWire
+from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import Separation
+
+START = 1_700_000_000_000_000_000
+TOPIC = "/joint_trajectory_controller/speed_scaling_input"
+PERIOD_S = 0.02
+
+
+def subscriber(node: str, topic: str) -> Endpoint:
+    kind = kind_of_own(topic)
+    return Endpoint(EntityKind.SUBSCRIBER, NodeIdentity("a1", 0, node), 1, topic, kind.msgtype or "", "", kind.qos)
+
+
+class Controller:
+    """A controller that listens to the node on a wire of the test's own, by a clock that the test turns."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, listens: bool = True, **parameters: Any) -> None:
+        self.passed = 0.0
+        self.wire, self._executor = LocalWire(), Executor()
+        self.told: list[float] = []
+        if listens:
+            self.wire.subscribe(
+                "controller", TOPIC, kind_of_own(TOPIC), lambda message: self.told.append(message.factor)
+            )
+        turning = SimpleNamespace(monotonic=lambda: self.passed, sleep=self.wait)
+        monkeypatch.setattr(speed_scaling, "time", turning)
+        ticks: list[Callable[[], None]] = []
+        timers = SimpleNamespace(every=lambda period, tick: ticks.append(tick))
+        bus = WireBus(self.wire, self._executor, "speed_scaling", kind_of)
+        clock = SimpleNamespace(now=lambda: START + round(self.passed * 1e9))
+        sections = {"speed_scaling": parameters, "arm": {"slide_s": 0.2}}
+        there = (subscriber("controller", TOPIC),) if listens else ()
+        given: tuple[Any, ...] = (bus, clock, timers, sections, "test", lambda: None, lambda: there)
+        setup = Setup("speed_scaling", *given)
+        self.node = make_speed_scaling(setup)
+        self.node.configure()
+        self.node.activate()
+        (self._tick,) = ticks
+        self._send = self.wire.publisher("arm", SEPARATION, kind_of_own(SEPARATION))
+
+    def wait(self, seconds: float) -> None:
+        self.passed += seconds
+
+    def run(self, seconds: float, decided: float | None = None) -> list[float]:
+        """What the controller is told in that time, in which a share is decided thirty times a second, or nothing."""
+        before, next_s = len(self.told), self.passed
+        until = self.passed + seconds
+        while self.passed < until - 1e-9:
+            self.wait(PERIOD_S)
+            if decided is not None and self.passed >= next_s:
+                next_s += 1 / 30
+                now = START + round(self.passed * 1e9)
+                self._send(convert.separation_to_message(Separation.without_pair(now, now, decided, "test")))
+                while self._executor.step(0.0):
+                    pass
+            self._tick()
+        return self.told[before:]
+
+
+def test_a_controller_is_told_what_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    assert controller.told[-1] == 1.0
+    controller.run(1.0, 0.4)
+    assert controller.told[-1] == 0.4
+
+
+def test_it_slows_as_the_arm_can_brake_and_no_faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A joint_trajectory_controller takes a share at once: at 0 it would stop within a period."""
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    told = [1.0, *controller.run(0.4, 0.0)]
+    falls = [before - after for before, after in pairwise(told)]
+    assert max(falls) == pytest.approx(PERIOD_S / 0.2)
+    assert len([fall for fall in falls if fall > 0]) == pytest.approx(0.2 / PERIOD_S, abs=1), "and no slower"
+    assert told[-1] == 0.0
+
+
+def test_it_begins_with_all_of_the_speed_that_a_controller_has_and_goes_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = Controller(monkeypatch).run(0.5)
+    assert told[0] == pytest.approx(1 - PERIOD_S / 0.2)
+    assert told == sorted(told, reverse=True)
+    assert told[-1] == 0.0
+
+
+def test_without_decisions_the_arm_is_slow_and_then_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    controller.run(0.02)
+    assert controller.told[-1] == 1.0
+    controller.run(0.54)
+    assert controller.told[-1] == 0.0
+    (one,) = controller.node.diagnoses()
+    assert one.level is convert.Level.OK
+    assert one.message.startswith("stopped: no forecast for 5")
+
+
+def test_a_share_that_stays_is_told_again_for_a_controller_that_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    assert controller.run(2.0, 1.0) == [1.0] * 4
+
+
+def test_the_arm_stands_when_the_node_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    before, begun = len(controller.told), controller.passed
+    controller.node.deactivate()
+    assert controller.told[-1] == 0.0
+    assert controller.passed - begun == pytest.approx(0.2, abs=2 * PERIOD_S)
+    assert controller.told[before:] == sorted(controller.told[before:], reverse=True)
+    assert controller.run(1.0, 1.0) == [], "it has ended"
+
+
+def test_a_controller_that_is_not_there_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch, listens=False)
+    controller.run(0.1, 1.0)
+    (one,) = controller.node.diagnoses()
+    assert one.level is convert.Level.ERROR
+    assert one.message.startswith(f"nobody hears {TOPIC}: no controller of that name is active")
+
+
+@pytest.mark.parametrize(
+    ("name", "topic"),
+    [
+        ("scaled_joint_trajectory_controller", "/scaled_joint_trajectory_controller/speed_scaling_input"),
+        ("/left/arm_controller/", "/left/arm_controller/speed_scaling_input"),
+    ],
+)
+def test_a_controller_is_named_with_its_namespace(name: str, topic: str) -> None:
+    assert SpeedScalingParameters(controller=name).topic == topic
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"controller": ""}, "controller: expected a name such as joint_trajectory_controller, found ''"),
+        ({"controller": "my arm"}, "controller: expected a name such as joint_trajectory_controller, found 'my arm'"),
+        ({"rate_hz": 0.0}, "speed_scaling: rate_hz"),
+    ],
+)
+def test_wrong_parameters_are_named(parameters: dict[str, Any], told: str) -> None:
+    with pytest.raises(TwinError, match=told):
+        SpeedScalingParameters(**parameters)
+
+
+def test_an_arm_that_is_slowed_so_is_one_that_obeys() -> None:
+    """Without its joints it stands, in place of one that is made up."""
+    kind = kind_of_own(SEPARATION)
+    hears = Endpoint(
+        *(
+            EntityKind.SUBSCRIBER,
+            NodeIdentity("a1", 0, "speed_scaling"),
+            1,
+            SEPARATION,
+            kind.msgtype or "",
+            "",
+            kind.qos,
+        )
+    )
+    assert _driving([hears]) is Driving.BY_SLIDER
+    assert _driving([]) is Driving.NOBODY

@@ -1,0 +1,130 @@
+"""Slows an arm that ros2_control moves: the speed decided goes to its joint_trajectory_controller.
+
+Source: `speed_scaling.rst` of the joint_trajectory_controller (ros2_controllers), which goes on by that share of its
+steps, and control_msgs/SpeedScalingFactor: 1 at its own speed, 0 a full pause.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from twin_node.arm import LimiterParameters, SpeedLimiter
+from twin_node.errors import TwinError
+from twin_node.messages import Message, convert, message_type
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import SEPARATION, SPEED_SCALING_INPUT, is_topic_name, kind_of_own
+from twin_node.ranges import Range, check_ranges
+from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.rmw_zenoh import EntityKind
+
+REPEAT_S = 0.5
+"""How often the share is told though it stays: a controller may be a new one."""
+STANDS = 1e-6
+"""A smaller share is none."""
+
+
+def _deadlines() -> LimiterParameters:
+    return LimiterParameters(deadline_s=0.07)  # as the UR driver's
+
+
+@dataclass(frozen=True)
+class SpeedScalingParameters:
+    """Which controller is told, and what it is told without decisions."""
+
+    controller: str = "joint_trajectory_controller"
+    """Name of the controller, behind its namespace where it has one."""
+    limiter: LimiterParameters = field(default_factory=_deadlines)
+    """How the speed follows the decisions, and what it does without them."""
+    rate_hz: float = 50.0
+    """How often the controller is told while its speed changes."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, TwinError, "speed_scaling: ", rate_hz=Range(1, 1000))
+        if not is_topic_name(self.topic):
+            raise TwinError(
+                f"controller: expected a name such as joint_trajectory_controller, found {self.controller!r}; "
+                "'ros2 control list_controllers' lists them"
+            )
+
+    @property
+    def topic(self) -> str:
+        """Where the controller hears of its speed."""
+        return f"/{self.controller.strip('/')}{SPEED_SCALING_INPUT}"
+
+
+def make_speed_scaling(setup: Setup) -> Node:
+    """The node `speed_scaling`, which slows as `arm.slide_s` says, for that is what the law counts on."""
+    return SpeedScalingNode(setup, setup.parameters(SpeedScalingParameters), setup.chain_parameters().arm.slide_s)
+
+
+class SpeedScalingNode(Node):
+    """Tells a controller its share of speed: as decided, down no faster than the arm brakes, to none without decisions.
+
+    It begins with all of it, as controllers do, and goes down from there. It leaves an arm that stands, for a
+    controller keeps what it was told last.
+    """
+
+    def __init__(self, setup: Setup, parameters: SpeedScalingParameters, slide_s: float) -> None:
+        """`slide_s`: from all of its speed to none, s."""
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._bus = setup.bus
+        self._timers = setup.timers
+        self._endpoints = setup.endpoints
+        self._topic = parameters.topic
+        self._period_s = 1.0 / parameters.rate_hz
+        self._slide_s = slide_s
+        self._limiter = SpeedLimiter(parameters.limiter)
+        self._share = 1.0
+        self._reason = "stopped: no forecast yet"
+        self._ticked: float | None = None
+        self._told: tuple[float, float] | None = None
+        """What the controller was told last, and when, by the monotonic clock, s."""
+
+    def on_configure(self) -> None:
+        self._bus.declare(self._topic, kind_of_own(self._topic))
+        self._bus.advertise(self._topic)
+        self._endpoints()  # it is told of others from the first call on
+        self.bus.subscribe(SEPARATION, self._on_separation)
+        self._timers.every(self._period_s, self._tick)
+
+    def on_deactivate(self) -> None:
+        """The arm comes to rest as it does otherwise, and not at once."""
+        while self._share > 0.0:
+            self._tell_towards(0.0)
+            time.sleep(self._period_s)
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How fast the arm may be and why, and whether any controller hears of it."""
+        readings = (convert.Reading("share", f"{self._share:.2f}"),)
+        topic = self._bus.resolved(self._topic)
+        if any(end.topic == topic and end.kind is EntityKind.SUBSCRIBER for end in self._endpoints()):
+            return (convert.Diagnosis(f"{self.name}: arm", convert.Level.OK, self._reason, readings),)
+        unheard = (
+            f"nobody hears {topic}: no controller of that name is active, or none that can be slowed "
+            "(joint_trajectory_controller of Kilted or later)"
+        )
+        return (convert.Diagnosis(f"{self.name}: arm", convert.Level.ERROR, unheard, readings),)
+
+    def _on_separation(self, message: Message) -> None:
+        self._limiter.decide(convert.separation_from_message(message), self.clock.now())
+
+    def _tick(self) -> None:
+        if self.state is not LifecycleState.ACTIVE:
+            return
+        told = self._limiter.tick(self.clock.now())
+        self._reason = told.reason
+        self._tell_towards(told.speed_fraction)
+
+    def _tell_towards(self, wanted: float) -> None:
+        """Tells the share wanted, or how far braking has come by now; one that stays is told now and then."""
+        now = time.monotonic()
+        elapsed_s = self._period_s if self._ticked is None else now - self._ticked
+        self._ticked = now
+        slowest = self._share - elapsed_s / self._slide_s if self._slide_s > 0.0 else 0.0
+        self._share = max(wanted, slowest, 0.0)
+        self._share = 0.0 if self._share < STANDS else self._share
+        if self._told is not None and self._told[0] == self._share and now - self._told[1] < REPEAT_S:
+            return
+        self._told = self._share, now
+        self.bus.publish(self._topic, message_type("control_msgs/msg/SpeedScalingFactor")(factor=self._share))
