@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from twin_node.errors import TwinError
@@ -15,13 +17,13 @@ from twin_node.nodes.arm import Driving
 from twin_node.nodes.live import speed_scaling
 from twin_node.nodes.live.beside_twin import _driving
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.live.speed_scaling import SpeedScalingParameters, make_speed_scaling
-from twin_node.nodes.topics import SEPARATION, kind_of, kind_of_own
+from twin_node.nodes.live.speed_scaling import KeptShare, SpeedScalingParameters, make_speed_scaling
+from twin_node.nodes.topics import JOINT_STATES, SEPARATION, kind_of, kind_of_own
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.scene import Separation
+from twin_node.scene import JointSample, Separation
 
 START = 1_700_000_000_000_000_000
 TOPIC = "/joint_trajectory_controller/speed_scaling_input"
@@ -36,7 +38,14 @@ def subscriber(node: str, topic: str) -> Endpoint:
 class Controller:
     """A controller that listens to the node on a wire of the test's own, by a clock that the test turns."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, listens: bool = True, **parameters: Any) -> None:
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        listens: bool = True,
+        joints_rad_s: float | None = 1.0,
+        kept: Path | None = None,
+    ) -> None:
+        """`joints_rad_s`: how fast the arm's fastest joint is when the node begins; None: nobody says."""
         self.passed = 0.0
         self.wire, self._executor = LocalWire(), Executor()
         self.told: list[float] = []
@@ -50,15 +59,24 @@ class Controller:
         timers = SimpleNamespace(every=lambda period, tick: ticks.append(tick))
         bus = WireBus(self.wire, self._executor, "speed_scaling", kind_of)
         clock = SimpleNamespace(now=lambda: START + round(self.passed * 1e9))
-        sections = {"speed_scaling": parameters, "arm": {"slide_s": 0.2}}
+        sections = {"arm": {"slide_s": 0.2}}
         there = (subscriber("controller", TOPIC),) if listens else ()
         given: tuple[Any, ...] = (bus, clock, timers, sections, "test", lambda: None, lambda: there)
-        setup = Setup("speed_scaling", *given)
+        setup = Setup("speed_scaling", *given, kept=kept)
         self.node = make_speed_scaling(setup)
         self.node.configure()
         self.node.activate()
         (self._tick,) = ticks
         self._send = self.wire.publisher("arm", SEPARATION, kind_of_own(SEPARATION))
+        if joints_rad_s is not None:
+            turning = JointSample(START, ("a", "b"), np.zeros(2), np.array([0.0, -joints_rad_s]))
+            send = self.wire.publisher("driver", JOINT_STATES, kind_of_own(JOINT_STATES))
+            send(convert.joint_sample_to_message(turning))
+        self._hear()
+
+    def _hear(self) -> None:
+        while self._executor.step(0.0):
+            pass
 
     def wait(self, seconds: float) -> None:
         self.passed += seconds
@@ -73,8 +91,7 @@ class Controller:
                 next_s += 1 / 30
                 now = START + round(self.passed * 1e9)
                 self._send(convert.separation_to_message(Separation.without_pair(now, now, decided, "test")))
-                while self._executor.step(0.0):
-                    pass
+                self._hear()
             self._tick()
         return self.told[before:]
 
@@ -98,11 +115,48 @@ def test_it_slows_as_the_arm_can_brake_and_no_faster(monkeypatch: pytest.MonkeyP
     assert told[-1] == 0.0
 
 
-def test_it_begins_with_all_of_the_speed_that_a_controller_has_and_goes_down(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_that_moves_already_is_slowed_from_all_of_its_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which is what a controller has that nobody has told anything."""
     told = Controller(monkeypatch).run(0.5)
     assert told[0] == pytest.approx(1 - PERIOD_S / 0.2)
     assert told == sorted(told, reverse=True)
     assert told[-1] == 0.0
+
+
+def test_an_arm_that_stands_is_not_set_going_by_a_node_that_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its controller may have been left at none by the one before."""
+    controller = Controller(monkeypatch, joints_rad_s=0.001)
+    told = controller.run(0.3)
+    assert set(told) == {0.0}
+    assert controller.run(0.1, 1.0) == sorted(controller.told[-5:])
+    assert 0 < controller.told[-1] < 0.3, "it speeds up as an arm does"
+
+
+def test_an_arm_of_which_nobody_knows_whether_it_moves_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    assert controller.run(0.4, 1.0) == []
+    told = controller.run(0.3, 1.0)
+    assert told == sorted(told)
+    assert told[0] < 0.1, "and from there its speed rises"
+
+
+def test_a_node_that_takes_the_place_of_one_that_was_killed_goes_on_from_there(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    killed = Controller(monkeypatch, kept=tmp_path)
+    killed.run(2.0, 0.5)
+    after = Controller(monkeypatch, kept=tmp_path)
+    assert after.run(0.1)[0] == pytest.approx(0.5 - PERIOD_S / 0.2)
+
+
+def test_a_file_that_is_cut_short_tells_nothing(tmp_path: Path) -> None:
+    kept = KeptShare(tmp_path / "share")
+    assert kept.read() is None
+    kept.write(0.25)
+    assert KeptShare(tmp_path / "share").read() == 0.25
+    (tmp_path / "share").write_bytes(b"123")
+    assert kept.read() is None
+    KeptShare(tmp_path / "nowhere" / "share").write(0.5)
 
 
 def test_without_decisions_the_arm_is_slow_and_then_stands(monkeypatch: pytest.MonkeyPatch) -> None:

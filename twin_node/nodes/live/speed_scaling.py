@@ -6,14 +6,20 @@ steps, and control_msgs/SpeedScalingFactor: 1 at its own speed, 0 a full pause.
 
 from __future__ import annotations
 
+import mmap
+import struct
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
 
 from twin_node.arm import LimiterParameters, SpeedLimiter
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert, message_type
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import SEPARATION, SPEED_SCALING_INPUT, is_topic_name, kind_of_own
+from twin_node.nodes.topics import JOINT_STATES, SEPARATION, SPEED_SCALING_INPUT, is_topic_name, kind_of_own
 from twin_node.ranges import Range, check_ranges
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.rmw_zenoh import EntityKind
@@ -22,6 +28,12 @@ REPEAT_S = 0.5
 """How often the share is told though it stays: a controller may be a new one."""
 STANDS = 1e-6
 """A smaller share is none."""
+STANDS_RAD_S = 0.01
+"""Joints that are all slower stand, rad/s."""
+JOINTS_S = 0.5
+"""How long joints are waited for that tell whether the arm moves, s."""
+KEPT = "speed_scaling"
+"""Name of the file that holds what the controller was told last."""
 
 
 def _deadlines() -> LimiterParameters:
@@ -61,8 +73,8 @@ def make_speed_scaling(setup: Setup) -> Node:
 class SpeedScalingNode(Node):
     """Tells a controller its share of speed: as decided, down no faster than the arm brakes, to none without decisions.
 
-    It begins with all of it, as controllers do, and goes down from there. It leaves an arm that stands, for a
-    controller keeps what it was told last.
+    It leaves an arm that stands, for a controller keeps what it was told last. So it begins with none, unless the arm
+    moves: then with what the node told whose place it takes, or with all, as controllers do.
     """
 
     def __init__(self, setup: Setup, parameters: SpeedScalingParameters, slide_s: float) -> None:
@@ -75,8 +87,12 @@ class SpeedScalingNode(Node):
         self._period_s = 1.0 / parameters.rate_hz
         self._slide_s = slide_s
         self._limiter = SpeedLimiter(parameters.limiter)
-        self._share = 1.0
+        self._kept = None if setup.kept is None else KeptShare(setup.kept / KEPT)
+        self._share: float | None = None
+        """None as long as nobody knows whether the arm moves."""
+        self._moves: bool | None = None
         self._reason = "stopped: no forecast yet"
+        self._since = 0.0
         self._ticked: float | None = None
         self._told: tuple[float, float] | None = None
         """What the controller was told last, and when, by the monotonic clock, s."""
@@ -86,17 +102,22 @@ class SpeedScalingNode(Node):
         self._bus.advertise(self._topic)
         self._endpoints()  # it is told of others from the first call on
         self.bus.subscribe(SEPARATION, self._on_separation)
+        self.bus.subscribe(JOINT_STATES, self._on_joints)
         self._timers.every(self._period_s, self._tick)
+
+    def on_activate(self) -> None:
+        self._since = time.monotonic()
 
     def on_deactivate(self) -> None:
         """The arm comes to rest as it does otherwise, and not at once."""
-        while self._share > 0.0:
-            self._tell_towards(0.0)
+        self._tell_towards(0.0)
+        while self._share:
             time.sleep(self._period_s)
+            self._tell_towards(0.0)
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """How fast the arm may be and why, and whether any controller hears of it."""
-        readings = (convert.Reading("share", f"{self._share:.2f}"),)
+        readings = () if self._share is None else (convert.Reading("share", f"{self._share:.2f}"),)
         topic = self._bus.resolved(self._topic)
         if any(end.topic == topic and end.kind is EntityKind.SUBSCRIBER for end in self._endpoints()):
             return (convert.Diagnosis(f"{self.name}: arm", convert.Level.OK, self._reason, readings),)
@@ -109,22 +130,68 @@ class SpeedScalingNode(Node):
     def _on_separation(self, message: Message) -> None:
         self._limiter.decide(convert.separation_from_message(message), self.clock.now())
 
+    def _on_joints(self, message: Message) -> None:
+        if self._share is None and len(message.velocity):
+            self._moves = bool(np.abs(message.velocity).max() > STANDS_RAD_S)
+
     def _tick(self) -> None:
-        if self.state is not LifecycleState.ACTIVE:
+        if self.state is not LifecycleState.ACTIVE or not self._has_begun():
             return
         told = self._limiter.tick(self.clock.now())
         self._reason = told.reason
         self._tell_towards(told.speed_fraction)
 
+    def _has_begun(self) -> bool:
+        """Whether it is known by now what share the arm has, which its speed rises or falls from."""
+        if self._share is not None:
+            return True
+        if self._moves is None and time.monotonic() - self._since < JOINTS_S:
+            return False
+        kept = None if self._kept is None else self._kept.read()
+        self._share = (1.0 if kept is None else kept) if self._moves else 0.0
+        if not self._moves:
+            self._limiter.stand()
+        return True
+
     def _tell_towards(self, wanted: float) -> None:
         """Tells the share wanted, or how far braking has come by now; one that stays is told now and then."""
+        if self._share is None:
+            return
         now = time.monotonic()
         elapsed_s = self._period_s if self._ticked is None else now - self._ticked
         self._ticked = now
         slowest = self._share - elapsed_s / self._slide_s if self._slide_s > 0.0 else 0.0
         self._share = max(wanted, slowest, 0.0)
         self._share = 0.0 if self._share < STANDS else self._share
+        if self._kept is not None:
+            self._kept.write(self._share)
         if self._told is not None and self._told[0] == self._share and now - self._told[1] < REPEAT_S:
             return
         self._told = self._share, now
         self.bus.publish(self._topic, message_type("control_msgs/msg/SpeedScalingFactor")(factor=self._share))
+
+
+class KeptShare:
+    """What a controller was told last, for a process that takes the place of one that was killed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._room: mmap.mmap | None = None
+
+    def read(self) -> float | None:
+        """None where nobody has told anything yet."""
+        try:
+            (share,) = struct.unpack("<d", self._path.read_bytes())
+        except (OSError, struct.error):
+            return None
+        return float(share)
+
+    def write(self, share: float) -> None:
+        """Keeps a share; it costs no more than memory does. On a full disk none is kept."""
+        if self._room is None:
+            with suppress(OSError), self._path.open("wb+") as file:
+                file.write(bytes(8))
+                file.flush()
+                self._room = mmap.mmap(file.fileno(), 8)
+        if self._room is not None:
+            self._room[:] = struct.pack("<d", share)
