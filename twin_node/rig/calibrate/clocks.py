@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from twin_node.rig.calibrate.arm_features import ArmClock, JointCourse, time_by_features
 from twin_node.rig.calibrate.arm_motion import STEP_S, ArmCourse, Film
+from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.shifts import Costs, Shift, best_shift
 from twin_node.rig.errors import RigError
 from twin_node.robot import ArmModel
@@ -281,7 +282,6 @@ def _reconciled(films: Sequence[Film], edges: Sequence[_Edge]) -> tuple[CameraCl
     """Offsets of all cameras that fit those of the pairs best, weighted by how sure each pair is."""
     names = [film.camera.name for film in films]
     offsets = np.zeros(len(names))
-    known = {0}
     rows, wanted, rates, weights = [], [], [], []
     for edge in edges:
         row = np.zeros(len(names))
@@ -290,16 +290,11 @@ def _reconciled(films: Sequence[Film], edges: Sequence[_Edge]) -> tuple[CameraCl
         wanted.append(edge.shift.offset_ns)
         rates.append(np.nan if edge.shift.rate_ppm is None else edge.shift.rate_ppm)
         weights.append(1 / np.hypot(edge.shift.sigma_ns, BARCODE_SIGMA_NS))
-    grown = True
-    while grown:
-        linked = {i for edge in edges if {edge.a, edge.b} & known for i in (edge.a, edge.b)}
-        grown = not linked <= known
-        known |= linked
-    lost = [name for i, name in enumerate(names) if i not in known]
-    if lost:
+    _, *apart = islands(len(names), [(edge.a, edge.b) for edge in edges])
+    if apart:
         raise RigError(
-            f"camera {lost[0]}: expected motion that another camera sees too, found none that agrees; record something "
-            "that moves where all cameras see it, and check the extrinsics"
+            f"camera {names[apart[0][0]]}: expected motion that another camera sees too, found none that agrees; "
+            "record something that moves where all cameras see it, and check the extrinsics"
         )
     A, w = np.array(rows)[:, 1:], np.array(weights)[:, None]
     solved = np.linalg.lstsq(A * w, np.array(wanted) * w[:, 0], rcond=None)[0]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import cross, inverse_pose, transform
+from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project, raw_pixels
 from twin_node.rig.calibrate.rotations import cross_matrix, moved
 from twin_node.rig.errors import RigError
@@ -344,16 +345,11 @@ def _open_m(match: _Match, poses: Float64, covariance: Float64) -> float:
 
 def _check_told(cameras: Sequence[RigCamera], pairs: Sequence[SurfacePair]) -> None:
     """Every relative motion must be told by surfaces, not by the rig given."""
-    reached, grown = {0}, True
-    while grown:
-        linked = {i for pair in pairs if {pair.a, pair.b} & reached for i in (pair.a, pair.b)}
-        grown = not linked <= reached
-        reached |= linked
-    lost = [camera.name for i, camera in enumerate(cameras) if i not in reached]
-    if lost:
+    _, *apart = islands(len(cameras), [(pair.a, pair.b) for pair in pairs])
+    if apart:
         raise RigError(
-            f"refine: camera {lost[0]}: expected surfaces that another camera sees too, found none within "
-            f"{100 * GATES_M[0]:.0f} cm; are the poses given right to a degree or two? Else use a board"
+            f"refine: camera {cameras[apart[0][0]].name}: expected surfaces that another camera sees too, found none "
+            f"within {100 * GATES_M[0]:.0f} cm; are the poses given right to a degree or two? Else use a board"
         )
     worst = max(pairs, key=lambda pair: pair.open_m)
     if worst.open_m > MOST_OPEN_M:

@@ -14,8 +14,8 @@ from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleRe
 from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
 from twin_node.rig.calibrate.contradictions import check_board, check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
+from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.lenses import Lens, pixel_rays
-from twin_node.rig.calibrate.pose_graph import islands
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
@@ -90,7 +90,9 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     ]
     stamps = set_stamps(cameras)
     first_look = simultaneous(board, cameras, stamps, np.tile(stamps, (len(cameras), 1)))
-    group = max(islands(len(cameras), first_look), key=len)
+    first_in: dict[int, int] = {}
+    links = [(first_in.setdefault(s.board, s.camera), s.camera) for s in first_look]
+    group = max(islands(len(cameras), links), key=len)
     if len(group) < 2:
         alone = ", ".join(camera.name for camera in cameras)
         raise RigError(

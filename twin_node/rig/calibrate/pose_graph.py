@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.bundle import Sighting
@@ -60,19 +60,6 @@ def build_pose_graph(lenses: Sequence[Lens], points: Float64, sightings: Sequenc
         parent = int(parents[camera])
         T_rig_cam[camera] = T_rig_cam[parent] @ _relative_pose(seen, points, parent, camera)
     return PoseGraph(T_rig_cam, _boards(T_rig_cam, seen, points))
-
-
-def islands(cameras: int, sightings: Sequence[Sighting]) -> list[list[int]]:
-    """Groups of cameras that shared sets hold together, in order of their first camera."""
-    boards = max((sighting.board for sighting in sightings), default=-1) + 1
-    ends = [(s.camera, cameras + s.board) for s in sightings]
-    rows, columns = ([end[i] for end in ends] for i in (0, 1))
-    graph = csr_matrix((np.ones(len(ends)), (rows, columns)), shape=(cameras + boards, cameras + boards))
-    _, labels = connected_components(graph, directed=False)
-    groups: dict[int, list[int]] = {}
-    for camera in range(cameras):
-        groups.setdefault(int(labels[camera]), []).append(camera)
-    return list(groups.values())
 
 
 def _single_views(

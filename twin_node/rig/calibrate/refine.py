@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -11,6 +12,7 @@ import numpy as np
 from twin_node.rig.calibrate.birds_eye import ground_of, lay_flat
 from twin_node.rig.calibrate.depth_alignment import SurfacePair, align, surface_of
 from twin_node.rig.calibrate.ground_matches import agreed_map, measured
+from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.match_adjustment import Adjusted, adjust_matches
 from twin_node.rig.calibrate.matches import Matches, epipolar_px, feature_matches, plane_gap_m
 from twin_node.rig.calibrate.refine_doubt import Doubt, doubt_of, witnesses_of
@@ -185,21 +187,15 @@ def _half(matches: Matches, part: int) -> Matches:
 
 def _check_connected(cameras: Sequence[RigCamera], matches: Sequence[Matches], skipped: Sequence[str]) -> None:
     """Every camera must hang together with the first through pairs with enough matches."""
-    counts: dict[frozenset[int], int] = {}
+    shared: Counter[tuple[int, int]] = Counter()
     for pair in matches:
-        key = frozenset((pair.a, pair.b))
-        counts[key] = counts.get(key, 0) + len(pair)
-    reached, grown = {0}, True
-    while grown:
-        linked = {i for key, n in counts.items() if n >= LEAST_MATCHES and key & reached for i in key}
-        grown = not linked <= reached
-        reached |= linked
-    lost = [camera.name for i, camera in enumerate(cameras) if i not in reached]
-    if lost:
+        shared[pair.a, pair.b] += len(pair)
+    _, *apart = islands(len(cameras), [pair for pair, n in shared.items() if n >= LEAST_MATCHES])
+    if apart:
         reason = f" ({'; '.join(skipped)})" if skipped else ""
         raise RigError(
-            f"refine: camera {lost[0]}: expected at least {LEAST_MATCHES} points shared with another "
-            f"camera, found fewer{reason}; record a scene with more texture, or calibrate with a board"
+            f"refine: camera {cameras[apart[0][0]].name}: expected at least {LEAST_MATCHES} points shared with "
+            f"another camera, found fewer{reason}; record a scene with more texture, or calibrate with a board"
         )
 
 
