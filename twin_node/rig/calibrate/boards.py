@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.errors import RigError
-from twin_node.scene import Float64, UInt8
+from twin_node.scene import Bool, Float64, UInt8
 
 REFINE_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
 """Sub-pixel refinement ends after 60 rounds or below 1e-4 pixels: far under the 0.05 that corners are good for."""
@@ -41,6 +41,10 @@ class Corners:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def chosen(self, rows: Bool) -> Corners:
+        """Those under a mask [N]."""
+        return Corners(self.ids[rows], self.pixels[rows])
 
 
 class Board(Protocol):

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.rig.calibrate.boards import Corners
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, BundleState, Layout, Sighting
 from twin_node.rig.calibrate.bundle_problem import BundleProblem, Look, soft_l1
 from twin_node.rig.calibrate.stamp_jitter import JITTER_SIGMA_S
@@ -189,6 +188,4 @@ def _noise(residuals: Float64, kept: Bool, camera: NDArray[np.int64], cameras: i
 
 
 def _thinned(sighting: Sighting, kept: Bool) -> Sighting:
-    corners = sighting.corners
-    own = kept[corners.ids]
-    return replace(sighting, corners=Corners(corners.ids[own], corners.pixels[own]))
+    return replace(sighting, corners=sighting.corners.chosen(kept[sighting.corners.ids]))

@@ -182,7 +182,7 @@ def _cleaned(board: Board, lens: Lens, corners: Corners | None) -> Corners | Non
     good = np.zeros(len(corners), dtype=bool) if mask is None else np.asarray(mask).ravel() > 0
     if good.mean() < MOST:
         return None
-    return Corners(corners.ids[good], corners.pixels[good])
+    return corners.chosen(good)
 
 
 def _seen_straight(rays: Float64) -> Float64:

@@ -219,7 +219,7 @@ def _fitting(residuals: Sequence[Float64]) -> list[Bool]:
 
 
 def _thinned(view: BoardView, kept: Bool) -> BoardView:
-    return replace(view, corners=Corners(view.corners.ids[kept], view.corners.pixels[kept]))
+    return replace(view, corners=view.corners.chosen(kept))
 
 
 def _usable(board: Board, views: Sequence[BoardView], reason: str) -> tuple[list[BoardView], list[DroppedView]]:
