@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.rig.calibrate.lenses import pixel_rays
+from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays
 from twin_node.scene import Bool, Float64, FrameSet, Rig, RigCamera, UInt8
 from twin_node.thinning import thinned
 
@@ -74,7 +74,7 @@ class Barcodes:
         if key not in self._known_rays:
             rows, columns = np.mgrid[: shape[0], : shape[1]]
             pixels = (np.column_stack([columns.ravel(), rows.ravel()]) + 0.5) * (camera.width / shape[1]) - 0.5
-            self._known_rays[key] = np.column_stack([pixel_rays(camera, pixels), np.ones(len(pixels))])
+            self._known_rays[key] = homogeneous(pixel_rays(camera, pixels))
         return np.asarray(self._known_rays[key] @ camera.T_base_cam[:3, :3].T)
 
     def _counts(self, rig: Rig, pair: tuple[int, int]) -> Float64:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import cross, inverse_pose, transform
-from twin_node.rig.calibrate.lenses import in_view, pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import homogeneous, in_view, pixel_rays, raw_pixels
 from twin_node.rig.calibrate.stills import Still
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float32, Float64, RigCamera
@@ -67,8 +67,7 @@ class Sheet:
 
 def plane_hits(camera: RigCamera, plane: Float64, pixels: Float64) -> Float64:
     """Base-frame points [N, 3] m at which the rays of raw pixels [N, 2] meet a plane [4]; NaN where they do not."""
-    rays = pixel_rays(camera, pixels)
-    directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ camera.T_base_cam[:3, :3].T
+    directions = homogeneous(pixel_rays(camera, pixels)) @ camera.T_base_cam[:3, :3].T
     centre = camera.T_base_cam[:3, 3]
     slope = directions @ plane[:3]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -15,7 +15,7 @@ from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_
 from twin_node.rig.calibrate.contradictions import check_board, check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.islands import islands
-from twin_node.rig.calibrate.lenses import Lens, pixel_rays
+from twin_node.rig.calibrate.lenses import Lens, homogeneous, pixel_rays
 from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
@@ -187,7 +187,7 @@ def _cleaned(board: Board, lens: Lens, corners: Corners | None) -> Corners | Non
 
 def _seen_straight(rays: Float64) -> Float64:
     """Rays [N, 2] (x/z, y/z) as if the lens had looked at their middle: at a fisheye's edge a pixel makes x/z a lot."""
-    ways = np.column_stack([rays, np.ones(len(rays))])
+    ways = homogeneous(rays)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     straight, *_ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [ways.mean(axis=0)])
     turned = straight.apply(ways)

@@ -166,3 +166,8 @@ def raw_pixels(camera: Optics, points: Float64) -> Float64:
     if not len(points):
         return np.zeros((0, 2))
     return distort(camera, points[:, :2] / np.maximum(points[:, 2:], BEHIND_M))
+
+
+def homogeneous(rays: Float64) -> Float64:
+    """[N, 3] the directions, of depth 1, of rays (x/z, y/z) [N, 2]."""
+    return np.concatenate([rays, np.ones((len(rays), 1))], axis=1)

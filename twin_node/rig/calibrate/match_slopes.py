@@ -8,7 +8,7 @@ import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.birds_eye import plane_hits
-from twin_node.rig.calibrate.lenses import BEHIND_M, pixel_rays, project
+from twin_node.rig.calibrate.lenses import BEHIND_M, homogeneous, pixel_rays, project
 from twin_node.rig.calibrate.matches import NOWHERE_M
 from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.scene import Float64, RigCamera
@@ -34,7 +34,7 @@ def transfer_slopes(a: RigCamera, b: RigCamera, plane: Float64, pixels_a: Float6
     """Of `matches.transfer_px`, its rows flattened: [2 n]."""
     rays, by_lens_a = _rays(a, pixels_a)
     R_a, R_b, centre_b = a.T_base_cam[:3, :3], b.T_base_cam[:3, :3], b.T_base_cam[:3, 3]
-    g = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ R_a.T
+    g = homogeneous(rays) @ R_a.T
     hits = plane_hits(a, plane, pixels_a)
     there = np.isfinite(hits[:, :1])
     hits = np.where(there, hits, NOWHERE_M)
@@ -59,7 +59,7 @@ def epipolar_slopes(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Flo
     """Of `matches.epipolar_px`: [n]."""
     (rays_a, by_lens_a), (rays_b, by_lens_b) = _rays(a, pixels_a), _rays(b, pixels_b)
     E, by_poses = _essential(a, b)
-    p, q = (np.concatenate([rays, np.ones((len(rays), 1))], axis=1) for rays in (rays_a, rays_b))
+    p, q = homogeneous(rays_a), homogeneous(rays_b)
     line_b, line_a = p @ E.T, q @ E
     off = (q * line_b).sum(1, keepdims=True)
     line_b[:, 2] = line_a[:, 2] = 0  # of lines, only the directions count from here on
@@ -83,7 +83,7 @@ def epipolar_slopes(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Flo
 def _rays(camera: RigCamera, pixels: Float64) -> tuple[Float64, Float64]:
     """Rays [n, 2] of raw pixels, and their derivatives [n, 2, 4 + D] by the lens's parameters."""
     rays = pixel_rays(camera, pixels)
-    projection = project(camera, np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
+    projection = project(camera, homogeneous(rays))
     return rays, np.asarray(-np.linalg.solve(projection.by_point[..., :2], projection.by_lens), np.float64)
 
 

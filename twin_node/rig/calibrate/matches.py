@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from twin_node.geometry import inverse_pose, transform
 from twin_node.rig.calibrate.birds_eye import plane_hits
-from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays, raw_pixels
+from twin_node.rig.calibrate.rotations import cross_matrix
 from twin_node.rig.calibrate.stills import Still
 from twin_node.scene import Bool, Float64, RigCamera
 
@@ -81,11 +82,8 @@ def epipolar_px(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Float64
     """
     T = inverse_pose(b.T_base_cam) @ a.T_base_cam
     t = T[:3, 3] / max(float(np.linalg.norm(T[:3, 3])), 1e-9)
-    E = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ T[:3, :3]
-    in_a, in_b = (
-        np.concatenate([pixel_rays(camera, pixels), np.ones((len(pixels), 1))], axis=1)
-        for camera, pixels in ((a, pixels_a), (b, pixels_b))
-    )
+    E = cross_matrix(t) @ T[:3, :3]
+    in_a, in_b = homogeneous(pixel_rays(a, pixels_a)), homogeneous(pixel_rays(b, pixels_b))
     lines_b, lines_a = in_a @ E.T, in_b @ E
     gradient = (lines_a[:, :2] ** 2).sum(1) + (lines_b[:, :2] ** 2).sum(1)
     focal = np.sqrt(a.K[0, 0] * b.K[0, 0])

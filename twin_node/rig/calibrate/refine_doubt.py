@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.geometry import inverse_pose, transform
-from twin_node.rig.calibrate.lenses import lens_of, pixel_rays, project
+from twin_node.rig.calibrate.lenses import homogeneous, lens_of, pixel_rays, project
 from twin_node.rig.calibrate.matches import Matches
 from twin_node.rig.calibrate.results import LEAST_DEPTH_M, metres_per_pixel, settled, sight_sigmas
 from twin_node.rig.calibrate.rotations import cross_matrix
@@ -77,7 +77,7 @@ def _places(a: RigCamera, b: RigCamera, pixels_a: Float64, pixels_b: Float64) ->
     """[n, 3] m the points nearest to both rays of matches [n, 2], of those before both cameras."""
     across, right = np.zeros((len(pixels_a), 3, 3)), np.zeros((len(pixels_a), 3))
     for camera, pixels in ((a, pixels_a), (b, pixels_b)):
-        rays = np.concatenate([pixel_rays(camera, pixels), np.ones((len(pixels), 1))], axis=1)
+        rays = homogeneous(pixel_rays(camera, pixels))
         rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ camera.T_base_cam[:3, :3].T
         off = np.eye(3) - rays[:, :, None] * rays[:, None, :]
         across += off

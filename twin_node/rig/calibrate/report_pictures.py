@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin_node.geometry import transform
-from twin_node.rig.calibrate.lenses import pixel_rays
+from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays
 from twin_node.rig.calibrate.rig_fit import RigFit
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera
@@ -160,7 +160,7 @@ def _outline(camera: RigCamera, length: float) -> Float64:
     """[L, 3] one line along the pyramid from the centre to the image, `length` metres before it, in the base frame."""
     width, height = camera.width - 1.0, camera.height - 1.0
     rays = pixel_rays(camera, np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]))
-    a, b, c, d = transform(camera.T_base_cam, np.concatenate([rays, np.ones((4, 1))], axis=1) * length)
+    a, b, c, d = transform(camera.T_base_cam, homogeneous(rays) * length)
     centre = camera.T_base_cam[:3, 3]
     return np.stack([centre, a, b, centre, c, d, centre, b, c, d, a])
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, pose, transform
-from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
+from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays, raw_pixels
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, Float64, FrameSet, Rig, RigCamera, View
 from twin_node.thinning import thinned
@@ -93,7 +93,7 @@ def _apart(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> _Apart
     chosen = np.linspace(0, len(rows) - 1, min(DEPTH_PIXELS, len(rows))).round().astype(int)
     rows, columns = rows[chosen], columns[chosen]
     pixels = (np.column_stack([columns, rows]) + 0.5) * (camera_a.width / a.depth.shape[1]) - 0.5
-    rays = np.column_stack([pixel_rays(camera_a, pixels), np.ones(len(pixels))])
+    rays = homogeneous(pixel_rays(camera_a, pixels))
     points = transform(inverse_pose(camera_b.T_base_cam) @ camera_a.T_base_cam, rays * a.depth[rows, columns, None])
     there = ((raw_pixels(camera_b, points) + 0.5) * (b.depth.shape[1] / camera_b.width)).astype(np.int64)
     inside = (points[:, 2] > 0) & (there >= 0).all(1) & (there < b.depth.shape[::-1]).all(1)
