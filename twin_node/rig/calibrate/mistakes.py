@@ -81,11 +81,7 @@ def _read_otherwise(rig: Rig) -> Iterator[Undone]:
         (Mistake.MIRRORED, "the image seems to be mirrored, left and right swapped: turn mirroring off", _mirrored),
     )
     for mistake, cause, undo in readings:
-        changed = [undo(camera) for camera in rig.cameras]
-        yield _all(rig, changed, cause, mistake)
-        if len(rig.cameras) > 1:
-            for i in range(len(rig.cameras)):
-                yield _one(rig, changed, i, cause, mistake)
+        yield from _all_or_one(rig, [undo(camera) for camera in rig.cameras], cause, mistake)
     cause = "left and right seem to be swapped, as in left-handed coordinates: negate y of every pose's axes and place"
     yield _all(rig, [_moved(c, _FLIP_Y @ c.T_base_cam @ _FLIP_Y) for c in rig.cameras], cause, Mistake.MIRRORED)
 
@@ -109,19 +105,20 @@ def _rescaled(rig: Rig) -> Iterator[Undone]:
     for ratio in RATIOS:
         scaled = [_resized(camera, ratio) for camera in rig.cameras]
         cause = f"K seems to be of {ratio:.3g} times the image's resolution: scale it"
-        yield _all(rig, scaled, cause, Mistake.RESOLUTION)
-        if len(rig.cameras) > 1:
-            for i in range(len(rig.cameras)):
-                yield _one(rig, scaled, i, cause, Mistake.RESOLUTION)
+        yield from _all_or_one(rig, scaled, cause, Mistake.RESOLUTION)
 
 
 def _all(rig: Rig, cameras: Sequence[RigCamera], cause: str, mistake: Mistake) -> Undone:
     return Undone(Finding("", cause, mistake), replace(rig, cameras=tuple(cameras)))
 
 
-def _one(rig: Rig, changed: Sequence[RigCamera], i: int, cause: str, mistake: Mistake) -> Undone:
-    cameras = (*rig.cameras[:i], changed[i], *rig.cameras[i + 1 :])
-    return Undone(Finding(rig.cameras[i].name, cause, mistake), replace(rig, cameras=cameras))
+def _all_or_one(rig: Rig, changed: Sequence[RigCamera], cause: str, mistake: Mistake) -> Iterator[Undone]:
+    """All cameras changed, then of several each alone."""
+    yield _all(rig, changed, cause, mistake)
+    if len(rig.cameras) > 1:
+        for i, camera in enumerate(rig.cameras):
+            cameras = (*rig.cameras[:i], changed[i], *rig.cameras[i + 1 :])
+            yield Undone(Finding(camera.name, cause, mistake), replace(rig, cameras=cameras))
 
 
 _FLIP_Y = np.diag([1.0, -1.0, 1.0, 1.0])
