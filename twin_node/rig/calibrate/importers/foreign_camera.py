@@ -30,6 +30,13 @@ def from_world_to_camera(R: Float64, t: Float64) -> Float64:
     return inverse_pose(pose(R, t))
 
 
+def distortion_model(D: Float64, is_fisheye: bool) -> str:
+    """The model, as ROS names it, that coefficients in OpenCV's order belong to."""
+    if is_fisheye:
+        return "equidistant"
+    return "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial"
+
+
 def foreign_camera(
     where: str, name: str, size: Sequence[float], K: Float64, T_base_cam: Float64, model: str, D: Float64
 ) -> RigCamera:

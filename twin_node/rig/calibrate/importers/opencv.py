@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 
 from twin_node.errors import reason
-from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
+from twin_node.rig.calibrate.importers.foreign_camera import (
+    distortion_model,
+    foreign_camera,
+    foreign_rig,
+    from_world_to_camera,
+)
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
 from twin_node.rig.yaml_fields import Fields
@@ -40,7 +45,7 @@ def _json_cameras(path: Path, unit: float) -> list[RigCamera]:
     for fields in Fields(str(path), data).entries("cameras"):
         size = fields.array("size", (2,)).tolist()
         D = fields.list_of("dist")
-        model = _model(D, fields.flag("fisheye"))
+        model = distortion_model(D, fields.flag("fisheye"))
         T = from_world_to_camera(fields.array("R", (3, 3)), _three(fields, "t") * unit)
         cameras.append(foreign_camera(fields.where, fields.text("name"), size, fields.array("K", (3, 3)), T, model, D))
     return cameras
@@ -64,13 +69,13 @@ def _storage_cameras(path: Path, unit: float) -> list[RigCamera]:
     if storage.getNode("M1").empty():
         size = [float(_numbers(path, storage, f"image_{side}", ())) for side in ("width", "height")]
         K, D = _numbers(path, storage, "camera_matrix", (3, 3)), _numbers(path, storage, "distortion_coefficients")
-        return [foreign_camera(str(path), path.stem, size, K, np.eye(4), _model(D, is_fisheye), D)]
+        return [foreign_camera(str(path), path.stem, size, K, np.eye(4), distortion_model(D, is_fisheye), D)]
     size = _numbers(path, storage, "size", (2,)).tolist()
     T = from_world_to_camera(_numbers(path, storage, "R", (3, 3)), _numbers(path, storage, "T", (3,)) * unit)
     cameras = []
     for name, number, pose in (("left", 1, np.eye(4)), ("right", 2, T)):
         K, D = _numbers(path, storage, f"M{number}", (3, 3)), _numbers(path, storage, f"D{number}")
-        cameras.append(foreign_camera(f"{path}: {name}", name, size, K, pose, _model(D, is_fisheye), D))
+        cameras.append(foreign_camera(f"{path}: {name}", name, size, K, pose, distortion_model(D, is_fisheye), D))
     return cameras
 
 
@@ -107,9 +112,3 @@ def _value(node: cv2.FileNode) -> Float64 | None:
     except cv2.error:  # of a text, or of a mapping that is no matrix
         return None
     return None if matrix is None else np.asarray(matrix, dtype=np.float64)
-
-
-def _model(D: Float64, is_fisheye: bool) -> str:
-    if is_fisheye:
-        return "equidistant"
-    return "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial"

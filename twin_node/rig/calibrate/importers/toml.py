@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 
 from twin_node.errors import reason
-from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, from_world_to_camera
+from twin_node.rig.calibrate.importers.foreign_camera import (
+    distortion_model,
+    foreign_camera,
+    foreign_rig,
+    from_world_to_camera,
+)
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
 from twin_node.rig.yaml_fields import Fields
@@ -37,7 +42,6 @@ def _table(value: object) -> dict[str, object]:
 
 def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
     translation = fields.array("translation", (3,)) * unit
-    fisheye = fields.flag("fisheye")
     D = fields.array("distortions", None)
     return foreign_camera(
         fields.where,
@@ -45,7 +49,7 @@ def _camera(fields: Fields, key: str, unit: float) -> RigCamera:
         fields.array("size", (2,)).tolist(),
         fields.array("matrix", (3, 3)),
         from_world_to_camera(_rotation(fields), translation),
-        "equidistant" if fisheye else "plumb_bob" if len(np.trim_zeros(D, "b")) <= 5 else "rational_polynomial",
+        distortion_model(D, fields.flag("fisheye")),
         D,
     )
 
