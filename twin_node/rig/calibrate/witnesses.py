@@ -119,9 +119,8 @@ class Witnesses:
 
     def _step(self, cameras: Sequence[int], sightings: Sequence[Sighting]) -> Step:
         about = self._about(cameras, sightings)
-        change, (inner, outer) = about.equations.solution(DAMPING), about.equations.normal.slopes
-        gain = 0.5 * float(change.inner @ inner + change.outer @ outer)
-        return Step(change, gain, about.layout, self.bundle.state.T_cam_rig[cameras])
+        change = about.equations.solution(DAMPING)
+        return Step(change, about.equations.promise(change), about.layout, self.bundle.state.T_cam_rig[cameras])
 
     def _about(self, cameras: Sequence[int], sightings: Sequence[Sighting], lenses: bool = False) -> _About:
         """The equations about the bundle's state, of cameras that are as `cameras` of it are."""
