@@ -94,6 +94,26 @@ def test_a_camera_is_timed_against_the_arm(recording: tuple[FrameSet, ...]) -> N
     assert found[0] - found[1] == pytest.approx(37.0, abs=0.3)
 
 
+def test_joints_whose_clock_was_set_back_are_left_out(recording: tuple[FrameSet, ...]) -> None:
+    back, whole = [], list(recording)
+    for i, frames in enumerate(recording):
+        assert frames.joints is not None
+        late = 1_000_000_000 if 20 <= i < 24 else 0
+        back.append(replace(frames, joints=replace(frames.joints, stamp=frames.joints.stamp - late)))
+        if late:
+            whole[i] = replace(frames, joints=None)
+    arm, found = arm_model("ur5e"), []
+    for sets in (back, whole):
+        found.append(calibrate_clocks(cameras(recording), sets, arm, max_offset_s=0.05))
+    assert found[0] == found[1]
+
+
+def test_an_arm_without_joints_is_named(recording: tuple[FrameSet, ...]) -> None:
+    silent = [replace(f, joints=None) if i > 6 else f for i, f in enumerate(recording)]
+    with pytest.raises(RigError, match="arm ur5e: expected at least 8 joint states to time cameras by, found 7"):
+        calibrate_clocks(cameras(recording), silent, arm_model("ur5e"))
+
+
 def test_a_correction_comes_on_top_of_what_is_corrected_already() -> None:
     K = np.diag([100.0, 100, 1])
     camera = RigCamera("c", 64, 48, K, np.eye(4), "plumb_bob", np.zeros(5), 0.0, 20_000_000, 50.0, 10**18)

@@ -13,13 +13,12 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from twin_node.geometry import inverse_pose
-from twin_node.rig.calibrate.arm_motion import Film
+from twin_node.rig.calibrate.arm_motion import Film, JointCourse
 from twin_node.rig.calibrate.arm_surface import arm_surface
-from twin_node.robot import ArmModel, forward_kinematics
-from twin_node.scene import Bool, Float64, JointSample, UInt8
+from twin_node.robot import ArmModel
+from twin_node.scene import Bool, Float64, UInt8
 
 RESTART = 6
 """Images after which new features are sought."""
@@ -95,22 +94,6 @@ class ArmClock:
     """Features that told it."""
     noise_px: float
     """1 sigma of a feature about its link's motion."""
-
-
-class JointCourse:
-    """The arm's joints over a recording."""
-
-    def __init__(self, arm: ArmModel, joints: Sequence[JointSample]) -> None:
-        """`joints` in rising order of stamps, two at least."""
-        self.arm = arm
-        self.start = joints[0].stamp
-        times = np.array([(sample.stamp - self.start) / 1e9 for sample in joints])
-        self.end_s = float(times[-1])
-        self._angles = CubicSpline(times, np.stack([arm.ordered_positions(sample) for sample in joints]))
-
-    def links(self, times: Float64) -> Float64:
-        """[..., J + 1, 4, 4] link poses at times [...] s; held still beyond the recording."""
-        return forward_kinematics(self.arm, self._angles(np.clip(times, 0.0, self.end_s)))
 
 
 def time_by_features(course: JointCourse, film: Film, offset_s: float) -> ArmClock | None:

@@ -30,8 +30,6 @@ FLOW_SIGMA = 15.0 / 320
 """Error of optical flow at which it loses its say, image widths per second: half a pixel per frame at 320 px, 30 Hz."""
 TEXTURE = 4.0
 """Grey levels per pixel at which a point counts half: flow in smooth places is guessed by its surroundings."""
-LEAST_JOINTS = 8
-"""Joint samples that a course is drawn through."""
 
 
 @dataclass(frozen=True)
@@ -57,23 +55,30 @@ class _Course:
     """[G, N, 3]."""
 
 
+class JointCourse:
+    """The arm's joints over a recording."""
+
+    def __init__(self, arm: ArmModel, joints: Sequence[JointSample]) -> None:
+        """`joints` in rising order of stamps, two at least."""
+        self.arm = arm
+        self.start = joints[0].stamp
+        times = np.array([(sample.stamp - self.start) / 1e9 for sample in joints])
+        self.end_s = float(times[-1])
+        self._angles = CubicSpline(times, np.stack([arm.ordered_positions(sample) for sample in joints]))
+
+    def links(self, times: Float64) -> Float64:
+        """[..., J + 1, 4, 4] link poses at times [...] s; held still beyond the recording."""
+        return forward_kinematics(self.arm, self._angles(np.clip(times, 0.0, self.end_s)))
+
+
 class ArmCourse:
     """The arm's surface over a recording."""
 
-    def __init__(self, arm: ArmModel, joints: Sequence[JointSample]) -> None:
-        """`joints` in rising order of stamps."""
-        distinct = [s for i, s in enumerate(joints) if i == 0 or s.stamp > joints[i - 1].stamp]
-        self._known = len(distinct) >= LEAST_JOINTS
-        if self._known:
-            start = distinct[0].stamp
-            t = np.array([(sample.stamp - start) / 1e9 for sample in distinct])
-            angles = CubicSpline(t, np.stack([arm.ordered_positions(sample) for sample in distinct]))
-            self._course = _course(arm, start, angles(np.arange(0.0, t[-1], STEP_S)))
+    def __init__(self, joints: JointCourse) -> None:
+        self._course = _course(joints)
 
     def costs(self, film: Film, max_offset_s: float) -> Costs | None:
         """How badly a film fits the arm's motion at every shift of its stamps; None where the arm does not move."""
-        if not self._known:
-            return None
         projected = _Projected(self._course, film.camera)
         if not projected.moves:
             return None
@@ -136,10 +141,9 @@ def _texture(image: UInt8) -> Float32:
     return out
 
 
-def _course(arm: ArmModel, start: int, angles: Float64) -> _Course:
-    """The surface at joint angles [G, J]."""
-    surface = arm_surface(arm.capsules, ALONG, AROUND)
-    poses = forward_kinematics(arm, angles)[:, surface.links]
+def _course(joints: JointCourse) -> _Course:
+    surface = arm_surface(joints.arm.capsules, ALONG, AROUND)
+    poses = joints.links(np.arange(0.0, joints.end_s, STEP_S))[:, surface.links]
     turned = np.einsum("gnij,nj->gni", poses[..., :3, :3], surface.normals)
     placed = np.einsum("gnij,nj->gni", poses[..., :3, :3], surface.points) + poses[..., :3, 3]
-    return _Course(start, placed.astype(np.float32), turned.astype(np.float32))
+    return _Course(joints.start, placed.astype(np.float32), turned.astype(np.float32))

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from twin_node.rig.calibrate.arm_features import ArmClock, JointCourse, time_by_features
-from twin_node.rig.calibrate.arm_motion import STEP_S, ArmCourse, Film
+from twin_node.rig.calibrate.arm_features import ArmClock, time_by_features
+from twin_node.rig.calibrate.arm_motion import STEP_S, ArmCourse, Film, JointCourse
 from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.shifts import Costs, Shift, best_shift
 from twin_node.rig.errors import RigError
@@ -42,8 +42,10 @@ BARCODE_SIGMA_NS = 15_000_000
 cells with known clocks."""
 MAX_OFFSET_S = 0.15
 """Largest offset that is sought unless told otherwise, s."""
+LEAST_JOINTS = 8
+"""Joint states that the arm's motion is told by."""
 LEAST_CONTRAST = 0.02
-"""How much worse than the best the middling shift must fit for a pair to tell anything."""
+"""How much worse than the best the median shift must fit for a pair to tell anything."""
 
 
 @dataclass(frozen=True)
@@ -105,20 +107,22 @@ def calibrate_clocks(
 
     Offsets of more than `max_offset_s` are not found.
 
-    Raises `RigError` naming a camera that sees too little motion.
+    Raises `RigError` naming a camera that sees too little motion, or the arm where its joints are not told.
     """
     joints: list[JointSample] = []
     films = _films(cameras, sets, joints)
     if arm is not None:
-        distinct = [s for i, s in enumerate(joints) if i == 0 or s.stamp > joints[i - 1].stamp]
-        return ClockResult(arm.name, _against_arm(arm, distinct, films, max_offset_s))
+        if len(joints) < LEAST_JOINTS:
+            raise RigError(
+                f"arm {arm.name}: expected at least {LEAST_JOINTS} joint states to time cameras by, found "
+                f"{len(joints)}; record them with the images"
+            )
+        return ClockResult(arm.name, _against_arm(JointCourse(arm, joints), films, max_offset_s))
     return ClockResult(cameras[0].name, _against_each_other(films, max_offset_s))
 
 
-def _against_arm(
-    arm: ArmModel, joints: Sequence[JointSample], films: Sequence[Film], max_offset_s: float
-) -> tuple[CameraClock, ...]:
-    clocks, rough = [], ArmCourse(arm, joints)
+def _against_arm(joints: JointCourse, films: Sequence[Film], max_offset_s: float) -> tuple[CameraClock, ...]:
+    clocks, rough = [], ArmCourse(joints)
     for film in films:
         costs = rough.costs(film, max_offset_s)
         shift = None if costs is None else best_shift(costs)
@@ -127,8 +131,8 @@ def _against_arm(
                 f"camera {film.camera.name}: expected to see the arm move, found no motion that fits its joints; "
                 "record it moving fast and with changing speed where all cameras see it, and check the extrinsics"
             )
-        fine = time_by_features(JointCourse(arm, joints), film, shift.offset_ns / 1e9)
-        clocks.append(_by_flow(film, shift) if fine is None else _by_features(film, joints[0].stamp, fine))
+        fine = time_by_features(joints, film, shift.offset_ns / 1e9)
+        clocks.append(_by_flow(film, shift) if fine is None else _by_features(film, joints.start, fine))
     return tuple(clocks)
 
 
@@ -250,11 +254,11 @@ def _common_range(a: Float64, b: Float64) -> tuple[float, float]:
 
 
 def _films(cameras: Sequence[Camera], sets: Iterable[FrameSet], joints: list[JointSample]) -> list[Film]:
-    """Every camera's images in the order of their stamps; fills `joints`."""
+    """Every camera's images in the order of their stamps; fills `joints` with those whose stamps rise."""
     images: dict[str, list[UInt8]] = {camera.name: [] for camera in cameras}
     stamps: dict[str, list[int]] = {camera.name: [] for camera in cameras}
     for frames in sets:
-        if frames.joints is not None:
+        if frames.joints is not None and (not joints or frames.joints.stamp > joints[-1].stamp):
             joints.append(frames.joints)
         for view in frames.views:
             images[view.camera.name].append(np.asarray(cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY), np.uint8))

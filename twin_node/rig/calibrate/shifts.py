@@ -40,7 +40,7 @@ class Shift:
     rate_ppm: float | None
     """Growth of the offset; None where there are too few windows."""
     contrast: float
-    """How much worse the middling shift fits than the best, as a share of the best."""
+    """How much worse the median shift fits than the best, as a share of the best."""
 
 
 def best_shift(costs: Costs) -> Shift | None:
