@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.shadow import Shadow
-from twin_node.cell.shapes import Form
 from twin_node.cell.world import World
 from twin_node.geometry import quat_from_rotation
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
@@ -182,11 +181,10 @@ def _times(layers: list[int], counts: list[int], furniture: int, standing: int) 
 def _furniture(world: World) -> _Boxes:
     """The furniture's boxes, other shapes as the boxes about them."""
     placed = [solid.placed for solid in world.static]
-    sizes = [box.shape.size if box.shape.form is Form.BOX else tuple(2 * box.shape.half_extents) for box in placed]
     poses = np.array([box.T_base_shape for box in placed]).reshape(-1, 4, 4)
     return _Boxes(
         centers=poses[:, :3, 3],
         rotations=poses[:, :3, :3],
         quats=quat_from_rotation(poses[:, :3, :3]) if len(poses) else np.empty((0, 4)),
-        sizes=np.array(sizes, dtype=np.float64).reshape(-1, 3),
+        sizes=np.array([2 * box.shape.half_extents for box in placed]).reshape(-1, 3),
     )

@@ -65,13 +65,10 @@ class Shadow:
     def limbs(self, frames: NDArray[np.integer]) -> Limbs:
         """The people's capsules at samples [T]; people are made of capsules and spheres alone."""
         rows = np.flatnonzero(self._people)
-        half = np.array(
-            [self.shapes[row].size[1] / 2 if self.shapes[row].form is Form.CAPSULE else 0.0 for row in rows]
-        )
+        radii, half, _ = np.array([self.shapes[row].lengths for row in rows]).reshape(-1, 3).T
         poses = self._poses[np.asarray(frames)][:, rows]
         offset = poses[..., :3, 2] * half[:, None]
         middle = poses[..., :3, 3]
-        radii = np.array([self.shapes[row].size[0] for row in rows])
         return Limbs(np.stack([middle - offset, middle + offset], axis=2), radii)
 
 

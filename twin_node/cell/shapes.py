@@ -151,9 +151,9 @@ def cubes_meet(placed: Placed, centers: Float64, half: float) -> Bool:
     """[n] whether axis-aligned cubes about centers [n, 3] with half side `half` (m) meet the solid."""
     if placed.shape.form is Form.BOX:
         return _boxes_meet(placed, centers, half)
-    half_length = placed.shape.size[1] / 2 if placed.shape.form is Form.CAPSULE else 0.0
+    radius, half_length, _ = placed.shape.lengths
     half_axis = placed.T_base_shape[:3, 2] * half_length
-    return _capsule_meets(placed.T_base_shape[:3, 3], half_axis, placed.shape.size[0], centers, half)
+    return _capsule_meets(placed.T_base_shape[:3, 3], half_axis, radius, centers, half)
 
 
 def _capsule_meets(center: Float64, half_axis: Float64, radius: float, centers: Float64, half: float) -> Bool:
