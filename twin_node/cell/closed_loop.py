@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from twin_node.arm import (
     ArmCollisionChecker,
-    LimiterParameters,
     SeparationParameters,
     SpeedLimiter,
     StoppingTable,
@@ -33,7 +32,6 @@ class LoopParameters:
     command_latency_ms: float = 20.0
     """From a decision until the arm begins to brake: two periods of RTDE at 125 Hz and its input buffer."""
     separation: SeparationParameters = field(default_factory=SeparationParameters)
-    limiter: LimiterParameters = field(default_factory=LimiterParameters)
 
     @property
     def reaction_s(self) -> float:
@@ -86,7 +84,7 @@ def run_loop(
 
     The checker's arm is the program's. Before the first obstacles are known the arm stands.
     """
-    limiter = SpeedLimiter(parameters.limiter)
+    limiter = SpeedLimiter()
     steps = int(duration_s * 1e9) // STEP_NS
     rows = np.zeros((steps, 3))
     stamps = program.now + STEP_NS * np.arange(steps, dtype=np.int64)
