@@ -71,7 +71,7 @@ def test_sets_with_others_left_out_are_the_same(small: Scenario, sets: list[Fram
 def test_noise_is_as_strong_as_the_scenario_says(small: Scenario, draws_noise_once: bool) -> None:
     rig = SimulatedRig(small, draws_noise_once)
     exposure = rig.exposures()[0]
-    perfect, image = rig.render(exposure), rig.take(exposure)
+    perfect, image = rig.see(exposure.camera, exposure.stamp), rig.take(exposure)
     known = (image.depth_mm > 0) & (perfect.depth > 0)
     scaled = (image.depth_mm[known] - 1000 * perfect.depth[known]) / perfect.depth[known] ** 2
     assert scaled.std() == pytest.approx(small.sensing.depth_sigma_at_1m_mm, rel=0.1)
@@ -86,7 +86,7 @@ def test_noise_that_is_drawn_once_is_each_image_s_own(small: Scenario) -> None:
     for exposure in (first, second):
         image = rig.take(exposure)
         assert np.array_equal(image.rgb, again.take(exposure).rgb)
-        shown = cv2.GaussianBlur(rig.render(exposure).rgb, (3, 3), LENS_SIGMA_PX)
+        shown = cv2.GaussianBlur(rig.see(exposure.camera, exposure.stamp).rgb, (3, 3), LENS_SIGMA_PX)
         noises.append((image.rgb - shown.astype(np.float64)).ravel())
     assert noises[0].std() == pytest.approx(small.sensing.rgb_sigma, rel=0.15)
     assert abs(np.corrcoef(*noises)[0, 1]) < 0.1
@@ -217,7 +217,7 @@ def test_an_open_shutter_blurs_what_moves_and_nothing_else(small: Scenario) -> N
     )
     exposure = next(e for e in sharp.exposures() if e.tick == 80 and e.camera == 0)
     changed = (sharp.take(exposure).rgb != open_long.take(exposure).rgb).any(axis=2)
-    rendering = sharp.render(exposure)
+    rendering = sharp.see(exposure.camera, exposure.stamp)
     moving = rendering.shows((*sharp.world.moving_owners, len(sharp.world.names) - 1))
     assert changed[moving].mean() > 0.2
     assert changed[~moving].mean() < 0.03

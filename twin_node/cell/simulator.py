@@ -15,6 +15,7 @@ from twin_node.cell.rig import make_rig, pinhole
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Scenario
 from twin_node.cell.sensor import DrawnNoise, RawImage, sense
 from twin_node.cell.world import World
+from twin_node.geometry import pose
 from twin_node.scene import Camera, FrameSet, Rig, UInt8, View
 
 _STAMPS, _NOISE, _ARRIVALS = 2, 3, 4
@@ -75,10 +76,6 @@ class SimulatedRig:
         """Per set, the true time of its last exposure, ns, whether or not the cameras are faulty."""
         return [int(stamp) for stamp in self._stamps.max(axis=1)]
 
-    def render(self, exposure: Exposure) -> Rendering:
-        """The noiseless image at an exposure's true time."""
-        return self.see(exposure.camera, exposure.stamp)
-
     def see(self, camera: int, stamp: int) -> Rendering:
         """The noiseless image of a camera of the rig, where it was calibrated, at any time; to be read only.
 
@@ -105,7 +102,7 @@ class SimulatedRig:
         """What the sensor, which may have been bumped, collects while the shutter is open, as bright as it is set."""
         fault = self._fault(exposure, "bumped")
         renderer = self.renderers[exposure.camera] if fault is None else self._renderer_of(fault)
-        sharp = self.render(exposure) if fault is None else self._shown(renderer, exposure.stamp)
+        sharp = self.see(exposure.camera, exposure.stamp) if fault is None else self._shown(renderer, exposure.stamp)
         gain = self.scenario.cameras[exposure.camera].gain
         open_ns = self.scenario.sensing.exposure_ms * 1e6
         if open_ns == 0 and gain == 1:
@@ -122,8 +119,7 @@ class SimulatedRig:
             from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
 
             camera = next(camera for camera in self.cameras if camera.name == fault.camera)
-            turn = np.eye(4)
-            turn[:3, :3] = Rotation.from_euler("y", fault.turn_deg, degrees=True).as_matrix()
+            turn = pose(Rotation.from_euler("y", fault.turn_deg, degrees=True).as_matrix(), np.zeros(3))
             self._bumped[fault] = RayCaster(replace(camera, T_base_cam=camera.T_base_cam @ turn), self.world.static)
         return self._bumped[fault]
 
@@ -204,7 +200,4 @@ class CellSource:
 
     def _view(self, exposure: Exposure) -> View:
         image = self.simulated.take(exposure)
-        depth = image.depth_mm.astype(np.float32) / np.float32(1000)
-        return View(
-            self.cameras[exposure.camera], image.stamp, image.rgb, np.zeros_like(depth) if image.depth_is_nan else depth
-        )
+        return View(self.cameras[exposure.camera], image.stamp, image.rgb, image.depth_m)

@@ -6,6 +6,7 @@ import cv2
 import mujoco
 import numpy as np
 
+from twin_node.geometry import pose
 from twin_node.robot import ArmModel
 from twin_node.robot.mjcf import write_mjcf
 from twin_node.scene import Float64
@@ -52,9 +53,7 @@ class SimulatedArm:
     def tool_pose(self, tcp_offset: Float64) -> Float64:
         """Pose of the TCP as `pose_in_base` gives it, for an offset [6] from the flange."""
         body = self._engine.body(self.model.link_names[-1]).id
-        flange = np.eye(4)
-        flange[:3, :3] = np.array(self._data.xmat[body]).reshape(3, 3)
-        flange[:3, 3] = self._data.xpos[body]
+        flange = pose(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
         return pose_in_base(flange, tcp_offset)
 
 
