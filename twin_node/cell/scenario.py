@@ -161,9 +161,8 @@ class CameraSpec:
             raise CellError(f"camera: expected {NAME_WANTED}, as topics are named after it, found '{self.name}'")
         if not 0 < self.fov_deg < 180:
             raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
-        if not 0 < self.gain <= 16:
-            raise CellError(f"camera '{self.name}': gain must lie above 0 and be at most 16, found {self.gain}")
-        check_ranges(self, CellError, f"camera '{self.name}': ", skew_ms=Range(-10_000, 10_000))
+        ranges = {"skew_ms": Range(-10_000, 10_000), "gain": Range(0, 16, above=True)}
+        check_ranges(self, CellError, f"camera '{self.name}': ", **ranges)
         if not (np.abs([self.position, self.look_at]) <= FARTHEST_CAMERA_M).all():
             raise CellError(
                 f"camera '{self.name}': expected position and look_at in metres, at most {FARTHEST_CAMERA_M:g} from "
@@ -222,19 +221,7 @@ class Sensing:
     """The same within a pixel of a depth step, which a stereo matcher straddles."""
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height) < 1 or not self.rate_hz > 0:
-            raise CellError(
-                f"sensing: width, height, rate_hz must be positive, found {self.width}, {self.height}, {self.rate_hz}"
-            )
-        if not 0 <= self.jitter_ms < 1000 / self.rate_hz / 6:
-            raise CellError(
-                f"sensing: jitter_ms must be from 0 to under a sixth of the period ({1000 / self.rate_hz / 6:.2f} ms), "
-                f"so that a camera's images keep their order, found {self.jitter_ms}"
-            )
-        for name in ("latency_ms", "latency_jitter_ms", "exposure_ms"):
-            if not 0 <= getattr(self, name) <= 10_000:
-                raise CellError(f"sensing: {name} must lie between 0 and 10000, found {getattr(self, name)}")
-        size, noise = Range(1, 16_384), Range(0, 100_000)
+        size, late, noise = Range(1, 16_384), Range(0, 10_000), Range(0, 100_000)
         check_ranges(
             self,
             CellError,
@@ -242,11 +229,19 @@ class Sensing:
             width=size,
             height=size,
             rate_hz=Range(0, 1000, above=True),
+            latency_ms=late,
+            latency_jitter_ms=late,
+            exposure_ms=late,
             rgb_sigma=noise,
             depth_sigma_at_1m_mm=noise,
             depth_dropout=SHARE,
             edge_dropout=SHARE,
         )
+        if not 0 <= self.jitter_ms < 1000 / self.rate_hz / 6:
+            raise CellError(
+                f"sensing: jitter_ms must be from 0 to under a sixth of the period ({1000 / self.rate_hz / 6:.2f} ms), "
+                f"so that a camera's images keep their order, found {self.jitter_ms}"
+            )
 
 
 @dataclass(frozen=True)
@@ -324,14 +319,13 @@ class Scenario:
                 raise CellError(f"{where}: furniture '{body.name}' has a path that moves; put it under 'bodies'")
         if not self.cameras:
             raise CellError(f"{where}: expected at least one camera under 'cameras', found none")
-        if not 0 < self.duration_s <= 3600:
-            raise CellError(f"{where}: duration_s must be above 0 and at most 3600, found {self.duration_s}")
+        ranges = {"duration_s": Range(0, 3600, above=True), "start_ns": Range(0, 2_000_000_000_000_000_000)}
+        check_ranges(self, CellError, f"{where}: ", seed=NOT_NEGATIVE, **ranges)
         if self.duration_s * self.sensing.rate_hz < 1:
             raise CellError(
                 f"{where}: expected time for one image set at least, found duration_s {self.duration_s:g} at rate_hz "
                 f"{self.sensing.rate_hz:g}; make it longer"
             )
-        check_ranges(self, CellError, f"{where}: ", seed=NOT_NEGATIVE, start_ns=Range(0, 2_000_000_000_000_000_000))
         _require_corners(where, self.workspace)
         self._require_voxels(where)
         self._require_stamps(where)
