@@ -127,13 +127,7 @@ class Stability:
 
     def warning_share(self, method: str) -> float | None:
         """Share of the ticks of undisturbed runs at which the status warned; None where none was run."""
-        shares = [
-            one.methods[method].warning_share
-            for name in UNDISTURBED
-            for one in self.failures.get(name, ())
-            if one.methods[method].warning_share is not None
-        ]
-        return float(np.mean(np.array(shares, np.float64))) if shares else None
+        return _mean([one.methods[method].warning_share for name in UNDISTURBED for one in self.failures.get(name, ())])
 
     def check(self) -> None:
         """Raises `BenchError` where ours failed silently, or warned of nothing for more than `MOST_WARNINGS`."""
