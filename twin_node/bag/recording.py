@@ -56,7 +56,7 @@ class SplitParameters:
 
 @dataclass(frozen=True)
 class _Channel:
-    """A topic, and its last message where it is latched."""
+    """A topic, and how its messages are written."""
 
     name: str
     msgtype: str

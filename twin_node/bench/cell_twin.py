@@ -180,7 +180,7 @@ class TwinPerception:
         self._newest: FrameSet | None = None
         self._decoding_ns = 0
         self._found: deque[tuple[int, Any]] = deque()
-        """Obstacles, and when each become known, ns."""
+        """Obstacles, and when each becomes known, ns."""
         self._free_from = scenario.start_ns
         self._is_built = False
         self._dropped = 0

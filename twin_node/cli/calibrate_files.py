@@ -1,4 +1,4 @@
-"""`twin_node calibrate check | import | report`: what is done with finished calibrations."""
+"""`twin_node calibrate check | board | rehearse | import | report`: what is done before and after calibrating."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ REPEATS = 2
 LIVELY = 8
 """Images in a row that differed from the one before all over: what a sensor's noise does, and no scene that moves."""
 STEP, PARTS = 4, 4
-"""Every so manieth pixel is compared, and the image's parts, across and down, that are counted."""
+"""One pixel in so many is compared, and the image is counted in so many parts, both across and down."""
 NOISY_SHARE = 0.05
 """Share of a part's pixels that differ where there is noise; dark and burnt-out parts, where none is, may be half."""
 
