@@ -17,6 +17,7 @@ from twin_node.bench.workers import spread
 from twin_node.cell.closed_loop import LoopParameters
 from twin_node.cell.scenario_file import load_scenario
 from twin_node.ranges import Range, check_ranges
+from twin_node.scene import Float64
 
 if TYPE_CHECKING:
     from twin_node.bench.cell_twin import TwinTiming
@@ -198,12 +199,12 @@ def _twin_figures(results: Sequence[CaseResult]) -> dict[str, object]:
     timings = [result.timing for result in results if result.timing is not None]
     if not timings:
         return {}
-    latencies_s = np.concatenate([timing.latencies_ms for timing in timings]) * 1e-3
+    latencies_ms = np.concatenate([timing.latencies_ms for timing in timings])
     return {
         "twin": {
             "sets": sum(timing.sets for timing in timings),
             "dropped": sum(timing.dropped for timing in timings),
-            "latency_ms": {f"p{percent}": _percentile_ms(latencies_s, percent) for percent in (50, 95, 99)},
+            "latency_ms": {f"p{percent}": _percentile(latencies_ms, percent) for percent in (50, 95, 99)},
         }
     }
 
@@ -234,13 +235,13 @@ def _policy_figures(results: Sequence[CaseResult], policy: str) -> PolicyFigures
         min_distance_m=nearest if np.isfinite(nearest) else None,
         standing_contacts=sum(outcome.standing_contacts for outcome in outcomes),
         stops=len(stops),
-        stop_distance_p1_m=float(np.percentile(stops, 1)) if len(stops) else None,
+        stop_distance_p1_m=_percentile(stops, 1),
         false_stops=sum(outcome.false_stops for outcome in outcomes),
     )
 
 
-def _percentile_ms(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], percent: float) -> float | None:
-    return float(1e3 * np.percentile(seconds, percent)) if len(seconds) else None
+def _percentile(values: Float64, percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if len(values) else None
 
 
 def table(figures: Mapping[str, Any]) -> str:
