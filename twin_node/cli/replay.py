@@ -109,7 +109,7 @@ def _demo(options: argparse.Namespace) -> None:
     if not has_viser:
         print("viewer: expected the package viser; install it with pip install 'twin-node[viewer]'")
     elif options.viewer:
-        view_log([twin, log], arm=parameters.arm, port=chosen_port)
+        view_log([twin, log], parameters.arm, port=chosen_port)
     else:
         print(f"viewer: twin_node view {twin} {log} --arm {parameters.arm.model}")
 

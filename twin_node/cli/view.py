@@ -59,8 +59,8 @@ def _view(options: argparse.Namespace) -> None:
         raise TwinError("view: --endpoint is for --live; leave it out to look at a log")
     view_log(
         options.log,
-        options.rig,
         arm_of(options),
+        options.rig,
         options.width or 320,
         options.at or 0.0,
         options.host,
@@ -71,8 +71,8 @@ def _view(options: argparse.Namespace) -> None:
 
 def view_log(
     logs: list[Path],
+    arm: ArmParameters,
     rig: Path | None = None,
-    arm: ArmParameters | None = None,
     images_px: int = 320,
     at_s: float = 0.0,
     host: str = "127.0.0.1",
@@ -81,10 +81,9 @@ def view_log(
 ) -> None:
     """Shows the logs of a run until interrupted; says where."""
     with _interrupts() as is_interrupted:
-        from twin_node.nodes.arm_parameters import ArmParameters
         from twin_node.nodes.viewer import CellPage, LogViewer
 
-        model = (arm or ArmParameters()).arm()
+        model = arm.arm()
         with open_playback(logs, images_px, rig, remaps=remaps) as playback:
             length_s = (playback.end_ns - playback.start_ns) / 1e9
             if at_s > length_s:
