@@ -31,14 +31,12 @@ def test_stamps_rise_and_stay_behind_now(steps: list[tuple[int, int]]) -> None:
     assert told == sorted(set(told))
 
 
-def test_a_good_stamp_is_left_alone_and_a_bad_one_counted() -> None:
+def test_a_good_stamp_is_left_alone_and_one_ahead_of_now_is_not() -> None:
     clock = Clock()
     stamps = CaptureStamps(wall=clock, steady=clock)
     assert stamps.of_steady(clock.now - 7) == clock.now - 7
-    assert stamps.clamped == 0
     clock.now += 100
     assert stamps.of_steady(clock.now + 50) == clock.now
-    assert stamps.clamped == 1
 
 
 def test_a_clock_that_was_set_back_is_followed() -> None:
@@ -56,18 +54,19 @@ PERIOD, AGE = 33_000_000, 20_000_000
 @given(step=st.integers(1, RESET_NS))
 def test_after_a_small_step_back_images_are_no_instant_apart(kind: str, step: int) -> None:
     """Motion over a nanosecond would be endlessly fast."""
-    wall, steady, told = Clock(), Clock(), []
+    wall, steady, told, changed = Clock(), Clock(), [], 0
     stamps = CaptureStamps(wall=wall, steady=steady)
     for image in range(60):
         wall.now += PERIOD - step * (image == 10)
         steady.now += PERIOD
         told.append(stamps.of_arrival(AGE) if kind == "of_arrival" else stamps.of_steady(steady.now - AGE))
         assert told[-1] >= wall.now - AGE
+        changed += told[-1] != wall.now - AGE
     apart = [after - before for before, after in pairwise(told)]
     assert min(apart) >= PERIOD // 2
     assert max(apart) <= PERIOD
     assert told[-1] == wall.now - AGE
-    assert stamps.clamped <= 2 * step // PERIOD + 1
+    assert changed <= 2 * step // PERIOD + 1
 
 
 def test_many_small_steps_back_are_followed_in_the_end() -> None:

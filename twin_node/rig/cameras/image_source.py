@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,21 +67,15 @@ class ImageQueue:
         """`size`: images kept while the reader is busy."""
         self._waiting: queue.Queue[CameraImage] = queue.Queue(size)
         self.closed = threading.Event()
-        self.lost = 0
 
     def put(self, image: CameraImage) -> None:
         """Takes an image, from any thread."""
         while True:
-            try:
+            with suppress(queue.Full):
                 self._waiting.put_nowait(image)
-            except queue.Full:
-                try:
-                    self._waiting.get_nowait()
-                except queue.Empty:
-                    continue
-                self.lost += 1
-            else:
                 return
+            with suppress(queue.Empty):
+                self._waiting.get_nowait()
 
     def __iter__(self) -> Iterator[CameraImage]:
         """Images until `closed` is set."""

@@ -30,8 +30,6 @@ class CaptureStamps:
         self._now_at = 0
         """On the steady clock."""
         self._last: int | None = None
-        self.clamped = 0
-        """Stamps that had to be changed."""
 
     def of_steady(self, capture: int) -> int:
         """Stamp of a capture at `capture` on the steady clock, ns."""
@@ -49,7 +47,6 @@ class CaptureStamps:
         last = self._last
         if last is not None and last - RESET_NS < kept <= last:
             kept = last + LEAST_STEP_NS
-        self.clamped += kept != wall - age
         self._last = kept
         return kept
 
