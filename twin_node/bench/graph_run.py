@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import tempfile
 import threading
 import time
@@ -16,6 +15,7 @@ import numpy as np
 import psutil
 
 from twin_node.bench.errors import BenchError
+from twin_node.bench.visitors import free_port
 from twin_node.nodes.launch.launch_file import LaunchPlan
 from twin_node.nodes.launch.launcher import Launcher
 from twin_node.nodes.topics import kind_of
@@ -30,9 +30,7 @@ PATIENCE_S = 120.0
 
 def free_endpoint() -> str:
     """An address of loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @dataclass(frozen=True)
