@@ -7,7 +7,7 @@ all that moves, and nothing is interpolated that was measured. The first camera 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.rig.calibrate.boards import Corners
-from twin_node.rig.calibrate.course import Course
+from twin_node.rig.calibrate.course import Course, Placed
 from twin_node.rig.calibrate.course_prior import Hands
 from twin_node.rig.calibrate.lenses import Lens
 from twin_node.scene import Bool, Float64
@@ -58,6 +58,12 @@ class BundleState:
         """[V] times (s) on the rig's clock of times [V] on those of cameras [V]."""
         offset, rate = self.clocks[cameras].T
         return np.asarray(times + offset + rate * (times - self.reference_s))
+
+    def placed(self, sightings: Sequence[Sighting]) -> Placed:
+        """The board's poses at the stamps of images of it."""
+        cameras, boards = (np.array([getattr(s, name) for s in sightings]) for name in ("camera", "board"))
+        times = self.rig_times(cameras, np.array([sighting.time_s for sighting in sightings]))
+        return self.course.at(self.course.blend(boards, times))
 
 
 class BoardFreedom(Enum):

@@ -304,7 +304,5 @@ def _witnesses(bundle: BundleResult) -> Float64:
     count = len(bundle.state.lenses)
     seen = [[s for s in bundle.sightings if s.camera == i] for i in range(count)]
     chosen = [sighting for own in seen for sighting in thinned(own, max(WITNESSES // count, 1))]
-    state, cameras = bundle.state, np.array([sighting.camera for sighting in chosen])
-    times = state.rig_times(cameras, np.array([sighting.time_s for sighting in chosen]))
-    placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in chosen]), times))
-    return np.asarray(placed.rotations @ state.points.mean(axis=0) + placed.positions)
+    placed = bundle.state.placed(chosen)
+    return np.asarray(placed.rotations @ bundle.state.points.mean(axis=0) + placed.positions)

@@ -131,8 +131,7 @@ def _elsewhere(bundle: BundleResult, camera: int) -> int:
     if len(lost) < ELSEWHERE_IMAGES:
         return 0
     state, lens = bundle.state, bundle.state.lenses[camera]
-    times = state.rig_times(np.full(len(lost), camera), np.array([sighting.time_s for sighting in lost]))
-    placed = state.course.at(state.course.blend(np.array([sighting.board for sighting in lost]), times))
+    placed = state.placed(lost)
     corners = np.concatenate(
         [
             state.points[sighting.corners.ids] @ R.T + p
