@@ -24,7 +24,6 @@ QUICK = ("synchronizer.width:=64", "synchronizer.max_rate_hz:=10.0", "size.name:
 """A light model, so that the graph is measured and not the twin: what it computes is the same in both runs."""
 _LIGHT = {"width": 160, "height": 120, "rate_hz": 10.0, "jitter_ms": 1.0}
 """Cameras that two cores render with time to spare: else latency is the wait for a core, in any number of processes."""
-SOURCES = ("cell",)
 EVIDENCE = ("cell", "twin")
 """Processes without which no forecast comes: the arm must not be fast while they are down."""
 SPEAKS_ON = {"cell": JOINT_STATES, "twin": OBSTACLES, "arm": SEPARATION, "viewer": FRUSTA}
@@ -85,6 +84,12 @@ def cell_plan(*arguments: str, output: str = "") -> LaunchPlan:
     return read_launch_file("launch/sim_cell.yaml", given, QUICK)
 
 
+def blind_plan() -> LaunchPlan:
+    """The same without the cell, so that no image comes."""
+    plan = cell_plan()
+    return replace(plan, processes=tuple(p for p in plan.processes if p.name != "cell"))
+
+
 def latency(seconds: float, rounds: int, folder: Path) -> LatencyFigures:
     """Runs of both kinds in turn, `rounds` of each; scenario and recordings go into `folder`."""
     apart: list[float] = []
@@ -103,9 +108,7 @@ def latency(seconds: float, rounds: int, folder: Path) -> LatencyFigures:
 
 def idle(seconds: float) -> IdleFigures:
     """The simulated cell's graph without the cell: nodes that wait for images."""
-    plan = cell_plan()
-    plan = replace(plan, processes=tuple(p for p in plan.processes if p.name not in SOURCES))
-    with running(plan) as run:
+    with running(blind_plan()) as run:
         run.wait_until(lambda: run.spin(0.1) or run.launcher.is_whole, "the graph was not whole")
         run.spin(2.0)
         names = run.launcher.children() | {f"{name}, spare": pid for name, pid in run.launcher.spares().items()}

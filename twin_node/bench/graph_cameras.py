@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-from twin_node.bench.graph import SOURCES, cell_plan
+from twin_node.bench.graph import blind_plan, cell_plan
 from twin_node.bench.graph_run import GraphRun, running
 from twin_node.cell import SimulatedRig, load_scenario
 from twin_node.messages import convert
@@ -140,9 +140,7 @@ def arrivals(
 
 def cameras(seconds: float) -> CameraFigures:
     """Every fault for `seconds`, on each of the cameras in turn; in between until all is well again."""
-    plan = cell_plan()
-    plan = replace(plan, processes=tuple(p for p in plan.processes if p.name not in SOURCES))
-    with running(plan) as run:
+    with running(blind_plan()) as run:
         heard, source = _Heard(), _Cameras(run)
         run.listen(DIAGNOSTICS, heard.on_diagnostics)
         run.listen(OBSTACLES, lambda message: heard.forecasts.append(time.monotonic()))
