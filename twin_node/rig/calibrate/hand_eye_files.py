@@ -20,6 +20,7 @@ from twin_node.rig.calibrate.board_files import checked, whole
 from twin_node.rig.calibrate.boards import Board, CircleGrid
 from twin_node.rig.calibrate.hand_eye import HandEyeView
 from twin_node.rig.calibrate.intrinsics import usable
+from twin_node.rig.calibrate.lenses import camera_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_checks import check_intrinsics
 from twin_node.rig.yaml_fields import Fields
@@ -105,8 +106,7 @@ def read_lens(folder: Path, size: tuple[int, int]) -> RigCamera:
     for name in LENS_FILES:
         if (folder / name).is_file():
             fields = Fields(str(folder / name), read_yaml(folder / name, "a YAML file", RigError)).table("intrinsics")
-            fx, fy, cx, cy = (fields.number(key) for key in ("fx", "fy", "cx", "cy"))
-            K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            K = camera_matrix(*(fields.number(key) for key in ("fx", "fy", "cx", "cy")))
             check_intrinsics(fields.where, K, size)
             return RigCamera("camera", size[0], size[1], K, np.eye(4))
     raise RigError(f"{folder}: expected {' or '.join(LENS_FILES)}, found neither; give --rig RIG.yaml")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import pose, transform
 from twin_node.rig.calibrate.boards import Board, Corners
-from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, project
+from twin_node.rig.calibrate.lenses import COEFFICIENTS, Lens, camera_matrix, project
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64
@@ -99,4 +99,4 @@ def _placed(board: Board, views: Sequence[Corners], lens: Lens) -> _Placed:
 
 def _middle(focal: float, size: tuple[int, int]) -> Float64:
     """`K` [3, 3] of a lens over the middle of an image."""
-    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    return camera_matrix(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)

@@ -64,8 +64,7 @@ class Lens:
     def with_parameters(self, values: Float64) -> Lens:
         """The lens with other `parameters`."""
         fx, fy, cx, cy = values[:4]
-        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        return Lens(self.width, self.height, K, self.distortion_model, np.array(values[4:]))
+        return Lens(self.width, self.height, camera_matrix(fx, fy, cx, cy), self.distortion_model, np.array(values[4:]))
 
     def priors(self) -> Float64:
         """[3 + D] what a lens hardly is, in sigmas: oblong pixels, off centre, strongly distorted."""
@@ -166,6 +165,11 @@ def raw_pixels(camera: Optics, points: Float64) -> Float64:
     if not len(points):
         return np.zeros((0, 2))
     return distort(camera, points[:, :2] / np.maximum(points[:, 2:], BEHIND_M))
+
+
+def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> Float64:
+    """`K` [3, 3], pixels."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def homogeneous(rays: Float64) -> Float64:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.geometry import inverse_pose, looking_at, pose
 from twin_node.rig.calibrate.board_prints import BoardPrint, draw_board
 from twin_node.rig.calibrate.boards import CharucoBoard
-from twin_node.rig.calibrate.lenses import pixel_rays
+from twin_node.rig.calibrate.lenses import camera_matrix, pixel_rays
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile, save_rig
 from twin_node.scene import Float32, Float64, Rig, RigCamera, UInt8
@@ -108,7 +108,7 @@ def _written(folder: Path, progress: Progress) -> Rehearsal:
 
 
 def _cameras() -> tuple[RigCamera, ...]:
-    K = np.array([[FOCAL_PX, 0, (WIDTH - 1) / 2], [0, FOCAL_PX, (HEIGHT - 1) / 2], [0, 0, 1]])
+    K = camera_matrix(FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     cameras = []
     for name, side, height, offset in zip(("left", "middle", "right"), SIDES_DEG, HEIGHTS_M, OFFSETS_S, strict=True):
         angle = np.radians(side - 90)

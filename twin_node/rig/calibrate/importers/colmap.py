@@ -13,8 +13,8 @@ from twin_node.rig.calibrate.importers.foreign_camera import (
     foreign_camera,
     foreign_rig,
     from_world_to_camera,
-    pinhole,
 )
+from twin_node.rig.calibrate.lenses import camera_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import RigCamera
@@ -87,7 +87,7 @@ def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> R
     D = np.zeros(model.length)
     D[list(model.coefficients)] = rest[2:]
     # COLMAP's top-left pixel has its centre at (0.5, 0.5).
-    K = pinhole(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
+    K = camera_matrix(focal[0], focal[-1], rest[0] - 0.5, rest[1] - 0.5)
     quat, longest = image.pose[:4], np.abs(image.pose[:4]).max()
     if not 0 < longest < np.inf:
         raise RigError(f"{image.where}: expected a quaternion, found {quat.tolist()}; export the model again")

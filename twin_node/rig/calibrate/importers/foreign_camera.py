@@ -20,11 +20,6 @@ from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, Rig, RigCamera, as_camera_name
 
 
-def pinhole(fx: float, fy: float, cx: float, cy: float) -> Float64:
-    """`K` [3, 3], pixels."""
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
 def from_world_to_camera(R: Float64, t: Float64) -> Float64:
     """`T_base_cam` [4, 4] of extrinsics x_cam = R x_world + t."""
     return inverse_pose(pose(R, t))

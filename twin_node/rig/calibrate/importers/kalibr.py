@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.geometry import inverse_pose
-from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
+from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig
+from twin_node.rig.calibrate.lenses import camera_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
 from twin_node.rig.stamps import LATEST_S
@@ -56,6 +57,6 @@ def _camera(fields: Fields, name: str, T_rig_cam: Float64) -> RigCamera:
             f"{fields.where}: expected pinhole with {', '.join(MODELS)}, found {model} with {lens}; calibrate with "
             "pinhole-radtan or pinhole-equi"
         )
-    K = pinhole(*fields.array("intrinsics", (4,)).tolist())
+    K = camera_matrix(*fields.array("intrinsics", (4,)).tolist())
     D = np.zeros(0) if lens == "none" else fields.array("distortion_coeffs", (4,))
     return foreign_camera(fields.where, name, fields.array("resolution", (2,)).tolist(), K, T_rig_cam, MODELS[lens], D)

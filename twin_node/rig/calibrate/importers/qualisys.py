@@ -10,7 +10,8 @@ import numpy as np
 
 from twin_node.errors import reason
 from twin_node.geometry import pose
-from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig, pinhole
+from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig
+from twin_node.rig.calibrate.lenses import camera_matrix
 from twin_node.rig.errors import RigError
 from twin_node.rig.rig_file import RigFile
 from twin_node.scene import Float64, RigCamera
@@ -46,7 +47,7 @@ def _camera(path: Path, element: ElementTree.Element, unit: float) -> RigCamera:
     cu, cv = (_number(where, intrinsic, f"centerPoint{axis}") / SUBPIXELS for axis in "UV")
     D = np.array([_number(where, intrinsic, key) for key in _DISTORTION]) / SUBPIXELS
     return foreign_camera(
-        where, name, size, pinhole(fu, fv, cu - left, cv - top), _pose(where, transform, unit), "plumb_bob", D
+        where, name, size, camera_matrix(fu, fv, cu - left, cv - top), _pose(where, transform, unit), "plumb_bob", D
     )
 
 
