@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twin_node.geometry import inverse_pose
 from twin_node.rig.calibrate.arm_motion import Film, JointCourse
 from twin_node.rig.calibrate.arm_surface import arm_surface
+from twin_node.rig.calibrate.lenses import homogeneous
 from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Float64, UInt8
 
@@ -159,7 +160,7 @@ class _Surface:
         near = np.isfinite(depths).any(1)
         nearest = depths[near].argmin(1)
         own, depth = self._surface.links[shown][nearest], local[shown, 2][nearest]
-        seen = np.concatenate([(at[near] - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(depth), 1))], 1)
+        seen = homogeneous((at[near] - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]])
         base = (seen * depth[:, None]) @ camera.T_base_cam[:3, :3].T + camera.T_base_cam[:3, 3]
         back = inverse_pose(links)[own]
         return _Features(own, np.einsum("nij,nj->ni", back[:, :3, :3], base) + back[:, :3, 3], at[near])
