@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from twin_node.geometry import inverse_pose, pose, transform
+from twin_node.rig.calibrate.barcodes import MOVING_LEVELS
 from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays, raw_pixels
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, Float64, FrameSet, Rig, RigCamera, View
@@ -25,8 +26,6 @@ SIZE_TOLERANCE_M, SIZE_SHARE = 0.01, 0.01
 """The same where the best of many sizes is sought: noise costs all of them alike."""
 SIZES = np.linspace(0.8, 1.2, 41)
 """What distances between cameras are multiplied by."""
-MOVING_LEVELS = 25
-"""Difference from the median image, 8-bit levels in some channel, from which a pixel counts as moving."""
 
 
 @dataclass(frozen=True)
