@@ -12,6 +12,7 @@ import numpy as np
 from twin_node.geometry import inverse_pose, pose, transform
 from twin_node.rig.calibrate.barcodes import MOVING_LEVELS
 from twin_node.rig.calibrate.lenses import homogeneous, pixel_rays, raw_pixels
+from twin_node.rig.undistort import scaled_intrinsics
 from twin_node.robot import ArmModel, robot_mask
 from twin_node.scene import Bool, Camera, Float64, FrameSet, Rig, RigCamera, View
 from twin_node.thinning import thinned
@@ -150,7 +151,4 @@ def _gains(masks: Sequence[Bool], changed: Sequence[Bool]) -> list[float]:
 
 def _pinhole(camera: RigCamera, width: int, height: int) -> Camera:
     """The camera of reduced images, its lens's distortion left out: outlines are compared to some pixels."""
-    K = camera.K.copy()
-    K[:2, 2] += 0.5
-    K[:2] *= width / camera.width
-    return Camera(camera.name, width, height, K, camera.T_base_cam)
+    return Camera(camera.name, width, height, scaled_intrinsics(camera, width, height), camera.T_base_cam)
