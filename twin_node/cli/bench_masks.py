@@ -48,9 +48,6 @@ def _bench_masks(options: argparse.Namespace) -> None:
         if options.out is not None:
             print(f"drawn: {draw(found, options.out, f'masks_{Path(name).stem}')}", file=sys.stderr)
         benches.append(found)
-    if not options.json:
-        print(masks.table(benches))
-    elif options.scenario == "all":
-        print(json_text({"scenarios": [bench.as_json() for bench in benches]}))
-    else:
-        print(json_text(benches[0].as_json()))
+    each = [bench.as_json() for bench in benches]
+    figures = {"scenarios": each} if options.scenario == "all" else each[0]
+    print(json_text(figures) if options.json else masks.table(benches))

@@ -103,9 +103,6 @@ def _bench_seeds(scenario: str, seeds: range, parameters: OccupancyBenchParamete
 
     names = SCENARIOS if scenario == ALL else (scenario,)
     benches = [run_seeds(name, seeds, parameters, over("seed")) for name in names]
-    if not as_json:
-        print(table(benches))
-    elif scenario == ALL:
-        print(json_text({"scenarios": [bench.as_json() for bench in benches]}))
-    else:
-        print(json_text(benches[0].as_json()))
+    each = [bench.as_json() for bench in benches]
+    figures = {"scenarios": each} if scenario == ALL else each[0]
+    print(json_text(figures) if as_json else table(benches))
