@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin_node.bench.contenders import BASELINES, OURS
 from twin_node.bench.errors import BenchError
 from twin_node.bench.stability import perturbations as wrong
-from twin_node.bench.stability.case import BASELINES
 from twin_node.bench.stability.chart import draw, markdown, text
 from twin_node.bench.stability.failures import FAILURES
 from twin_node.bench.stability.perturbations import Perturbation
-from twin_node.bench.stability.pictures import OURS, PICTURES, PictureTally
+from twin_node.bench.stability.pictures import PICTURES, PictureTally
 from twin_node.bench.stability.scenes import (
     MIDDLE,
     ONSET_S,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bench.body import BodyScore, BodyTally
+from twin_node.bench.contenders import OURS
 from twin_node.bench.equal_recall import EqualRecall, PersistenceGrowth
 from twin_node.bench.errors import BenchError
 from twin_node.bench.space import SpaceScore, SpaceTally
@@ -25,8 +26,6 @@ from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, Occupancy, TwinState
-
-OURS = "ours"
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from twin_node.bench.contenders import OURS
 from twin_node.bench.equal_recall import EqualRecall
-from twin_node.bench.occupancy import OURS, OccupancyBench, OccupancyBenchParameters, score_states
+from twin_node.bench.occupancy import OccupancyBench, OccupancyBenchParameters, score_states
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
 from twin_node.bench.text_table import markdown_table, percent
 from twin_node.cell import CellSource, Scenario, load_scenario

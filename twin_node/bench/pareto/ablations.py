@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from twin_node.bench.contenders import OURS
 from twin_node.bench.errors import BenchError
-from twin_node.bench.pareto.following import OURS, Follower, settled_ms
+from twin_node.bench.pareto.following import Follower, settled_ms
 from twin_node.bench.pareto.suite import check_names
 from twin_node.bench.text_table import figure, markdown_table, text_table
 from twin_node.bench.workers import workers

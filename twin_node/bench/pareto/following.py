@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from twin_node.bench.contenders import OURS
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastQuality, default_grid
 from twin_node.forecast.comparison import Comparison, Score
 from twin_node.forecast.score import litres_per_voxel
@@ -19,8 +20,6 @@ from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, FrameSet, Tier, TwinState
 
-OURS = "ours"
-BASELINES = ("persistence", "constant_velocity", "worst_case")
 WARM_UP_NS = 400_000_000
 """Forecasts of so long are made and not scored: nothing has had time to be seen moving, ns."""
 
@@ -54,11 +53,11 @@ class Follower:
         self._forecaster = Forecaster(grid, chain.forecast, arm)
         self._baselines = BaselineForecaster(grid, chain.forecast.carving, chain.forecast.static, arm)
         self._truth = truth
-        self._comparison = Comparison(truth, BASELINES[0])
+        self._comparison = Comparison(truth, "persistence")
 
     @property
     def scores(self) -> dict[str, Score]:
-        """Of `OURS` and `BASELINES`; empty where no forecast's time has come."""
+        """Of ours and the baselines; empty where no forecast's time has come."""
         return self._comparison.scores()
 
     @property
@@ -95,8 +94,7 @@ class Follower:
         if isinstance(self._truth, LaterTruth):
             seen = others.persistence.layers[0].indices.astype(np.int64)
             self._truth.observe(state.stamp, ours.grid.centers(seen), len(seen) * litres_per_voxel(ours.grid))
-        forecasts = {OURS: ours, **{name: getattr(others, name) for name in BASELINES}}
-        self._comparison.add(state, forecasts if is_warm else {})
+        self._comparison.add(state, {OURS: ours, **vars(others)} if is_warm else {})
 
 
 def settled_ms(laps: list[float]) -> float:

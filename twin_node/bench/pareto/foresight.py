@@ -8,8 +8,9 @@ from pathlib import Path
 
 import torch
 
+from twin_node.bench.contenders import BASELINES, OURS
 from twin_node.bench.errors import BenchError
-from twin_node.bench.pareto.following import BASELINES, OURS, Follower, settled_ms
+from twin_node.bench.pareto.following import Follower, settled_ms
 from twin_node.forecast.comparison import Score
 from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters

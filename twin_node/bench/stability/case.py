@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bag.qos import is_latched
+from twin_node.bench.contenders import BASELINES, OURS
 from twin_node.bench.stability.failures import FAILURES
-from twin_node.bench.stability.pictures import OURS, PICTURES, Pictures
+from twin_node.bench.stability.pictures import PICTURES, Pictures
 from twin_node.bench.stability.scores import Held, Outcome, TickScore, held
 from twin_node.bench.stability.shapes import Isometry, Shape
 from twin_node.bench.stability.shots import Shot, Stage
@@ -26,8 +27,6 @@ from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import HORIZONS_NS, FrameSet, Grid, Occupancy, TwinState
 
-BASELINES = ("persistence", "constant_velocity", "worst_case")
-"""Forecasts of the same evidence; a warning of the forecaster's own is not theirs."""
 WARM_UP_S = 0.8
 """Forecasts of the first so many seconds are not scored: things are still getting up to their speed, s."""
 SEEN_PX = 20
@@ -163,11 +162,11 @@ class _Followed:
         others = self._baselines.update(state, ours.publish_stamp)
         valid_at = ours.publish_stamp + HORIZONS_NS[-1]
         truth = self._truth(shot, state.frames, ours.grid, valid_at)
-        for name, forecast in ((OURS, ours), *((name, getattr(others, name)) for name in BASELINES)):
+        for name, forecast in {OURS: ours, **vars(others)}.items():
             score: Held | None = None
             if shot.seconds >= WARM_UP_S and len(truth):
                 score = held(forecast, truth)
-            warned = shared or (own and name == OURS)
+            warned = shared or (own and name == OURS)  # a warning of the forecaster's own is not the baselines'
             self._ticks[name].append(TickScore(state.stamp, valid_at, score, warned))
 
     def _truth(self, shot: Shot, frames: FrameSet, grid: Grid, valid_at: int) -> NDArray[np.int64]:

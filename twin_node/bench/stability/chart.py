@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twin_node.bench.contenders import BASELINES, OURS
 from twin_node.bench.results_folder import save_chart
-from twin_node.bench.stability.case import BASELINES
 from twin_node.bench.stability.failures import FAILURES
-from twin_node.bench.stability.pictures import OURS
 from twin_node.bench.stability.suite import OUR_PICTURES, Stability
 from twin_node.bench.text_table import markdown_table, text_table
 

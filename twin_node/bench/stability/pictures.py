@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.bench.contenders import OURS
 from twin_node.bench.stability.shapes import LEFT_NS, Ghosts
 from twin_node.bench.stability.shots import Shot
 from twin_node.cell.rendering import Rendering
@@ -17,7 +18,6 @@ from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.nodes.report.quality import render_cloud, unit
 from twin_node.scene import Bool, Camera, Float32, TwinState, UInt8, View
 
-OURS = "ours"
 PICTURES = ("frozen_first_frame", "previous_image")
 """Pictures without a model."""
 PICTURE_EVERY = 4

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 import torch
 
+from twin_node.bench.contenders import BASELINES, OURS
 from twin_node.bench.errors import BenchError
-from twin_node.bench.stability.case import BASELINES, Case, CaseResult, run_case
+from twin_node.bench.stability.case import Case, CaseResult, run_case
 from twin_node.bench.stability.failures import FAILURES, LONG, UNDISTURBED
-from twin_node.bench.stability.pictures import OURS, PICTURES
+from twin_node.bench.stability.pictures import PICTURES
 from twin_node.bench.stability.scenes import WIDTH
 from twin_node.bench.stability.scores import LEAST_RECALL, Pooled
 from twin_node.bench.workers import spread
