@@ -17,9 +17,9 @@ from twin_node.bag.log import BagError
 from twin_node.bag.rig import write_rig
 from twin_node.bag.writer import LogWriter
 from twin_node.messages import convert
+from twin_node.messages.stamps import NS_PER_S
 from twin_node.scene import NAME_WANTED, Float64, Rig, RigCamera, UInt8, as_camera_name, is_camera_name
 
-NS_PER_S = 1_000_000_000
 MOST_PERIODS, ROUNDING_S = 1.5, 0.002
 """Usual periods of a video's own times, and s, beyond which the time between two frames is no matter of rounding."""
 

@@ -14,11 +14,10 @@ from torch import Tensor
 
 from twin_node.bench.step_speed import time_steps
 from twin_node.bench.text_table import text_table
+from twin_node.model.ply import SH_C0
 from twin_node.splat import image_loss, rasterize, rasterize_reference
 
 FIELD_OF_VIEW = math.radians(70)
-SH_C0 = 0.28209479177387814
-"""Value of the constant harmonic: the coefficient of a colour c is (c - 0.5) / this."""
 
 
 @dataclass(frozen=True)

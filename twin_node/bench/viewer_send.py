@@ -17,13 +17,12 @@ from twin_node.bench.graph_run import free_endpoint
 from twin_node.bench.visitors import PATIENCE_S, free_port, visiting
 from twin_node.messages import Message, convert
 from twin_node.nodes.playback import Playback
+from twin_node.nodes.status import PER_SET
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of_own
 from twin_node.runtime.wire import Send
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 
-PER_SET = (GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES)
-"""What a twin says of every set of images."""
 SETS = 150
 """Sent each way: 5 s of a camera rate of 30 Hz."""
 PERIOD_S = 1 / 30
