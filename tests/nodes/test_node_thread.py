@@ -18,7 +18,7 @@ from twin_node.nodes.launch import node_thread
 from twin_node.nodes.launch.node_thread import STUCK_S, Graph, NodeFailedError, NodeThread
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, kind_of
+from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, ROSOUT, kind_of
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import LifecycleState, Node
@@ -167,6 +167,44 @@ def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(
     assert bench.ended.wait(WAIT_S)
     assert isinstance(bench.thread.error, ZeroDivisionError)
     assert bench.life[-2:] == ["deactivate", "cleanup"]
+
+
+def test_what_a_node_tells_is_told_to_the_graph_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also what it told before it joined, from whatever thread: consoles of ROS 2 read /rosout."""
+    said: list[str] = []
+    monkeypatch.setattr(node_thread, "find_factory", lambda name: Talker)
+    wire, arrived = LocalWire(), threading.Semaphore(0)
+    heard: list[Any] = []
+    wire.subscribe("console", ROSOUT, kind_of(ROSOUT), lambda message: (heard.append(message), arrived.release()))
+    thread = NodeThread("talker", ORDER, wire, SystemClock(), lambda: None, said.append)
+    thread.make()
+    assert said == ["made"]
+    thread.configure()
+    thread.start()
+    thread.activate()
+    for _ in range(3):
+        assert arrived.acquire(timeout=WAIT_S)
+    thread.stop()
+    assert said == ["made", "configured", "active"] == [message.msg for message in heard]
+    assert {(message.name, message.level) for message in heard} == {("talker", heard[0].INFO)}
+    assert heard[0].stamp.sec > 1_700_000_000
+
+
+class Talker(Node):
+    """Says what becomes of it."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup.name, setup.bus, setup.clock)
+        self._say = setup.say
+        self._say("made")
+
+    def on_configure(self) -> None:
+        self._say("configured")
+
+    def on_activate(self) -> None:
+        thread = threading.Thread(target=self._say, args=("active",))
+        thread.start()
+        thread.join()
 
 
 class LateLocalWire(LocalWire):

@@ -45,6 +45,8 @@ ACKNOWLEDGE = "/arm/acknowledge"
 """`std_msgs/Empty`: somebody has looked at a halted arm; it may go on."""
 TF_STATIC = "/tf_static"
 TF = "/tf"
+ROSOUT = "/rosout"
+"""`rcl_interfaces/Log`: what nodes tell their user."""
 CLOCK = "/clock"
 CLOCK_FOLLOWER = "clock"
 """The name under which a process that takes its time from `/clock` listens to it."""
@@ -88,6 +90,7 @@ _MESSAGE_TYPES = {
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     OCCUPIED_POINTS: TopicKind("sensor_msgs/msg/PointCloud2", NEWEST),
     COLLISION_OBJECT: TopicKind("moveit_msgs/msg/CollisionObject"),
+    ROSOUT: TopicKind("rcl_interfaces/msg/Log", Qos(depth=100, latched=True, repeats=True)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     FRAMES: TopicKind(None, FRESH),
     **dict.fromkeys((TRUSTED_FRAMES, DRIFT, SEEN, STATE, FORECAST), TopicKind(None, EVERY)),

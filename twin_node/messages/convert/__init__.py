@@ -56,6 +56,7 @@ from twin_node.messages.convert.status import (
     Status,
     clock_from_message,
     clock_to_message,
+    line_to_log,
     status_from_message,
     status_to_message,
 )
@@ -86,6 +87,7 @@ __all__ = [
     "joint_path_to_message",
     "joint_sample_from_message",
     "joint_sample_to_message",
+    "line_to_log",
     "links_to_tf",
     "obstacles_from_message",
     "obstacles_to_collision_object",

@@ -98,3 +98,9 @@ def clock_to_message(stamp: int) -> Message:
 def clock_from_message(message: Message) -> int:
     """Time in ns of a `rosgraph_msgs/msg/Clock`."""
     return from_time(message.clock)
+
+
+def line_to_log(stamp: int, node: str, line: str) -> Message:
+    """`rcl_interfaces/msg/Log` of what a node tells its user, at a time in ns, for `/rosout`."""
+    kind = message_type("rcl_interfaces/msg/Log")
+    return kind(stamp=to_time(stamp), level=kind.INFO, name=node, msg=line, file="", function="", line=0)

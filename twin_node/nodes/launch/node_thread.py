@@ -15,7 +15,7 @@ from twin_node.messages import Message, builtin_types, convert
 from twin_node.nodes.launch.kinds import SOURCES, find_factory
 from twin_node.nodes.launch.order import Order
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, kind_of, kind_of_own
+from twin_node.nodes.topics import CLOCK, CLOCK_FOLLOWER, DIAGNOSTICS, ROSOUT, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
@@ -30,6 +30,8 @@ from twin_node.runtime.zenoh_session import ZenohParameters
 DIAGNOSTICS_PERIOD_S = 1.0
 """Diagnostics go out at 1 Hz, as is customary."""
 
+LINES_KEPT = 100
+"""Lines of a node that wait until it has joined the graph, or is done with what it does."""
 PULSE_S = 1.0
 """How often a process tells its launcher that it does not hang, s."""
 STUCK_S = 900.0
@@ -65,6 +67,7 @@ class NodeThread:
         self._say = say
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
+        self._lines = self._executor.inbox(self._log, LINES_KEPT)
         self._bus: WireBus
         self._told: tuple[Traffic, ...] = ()
         """What was last said of the node's subscriptions."""
@@ -87,7 +90,7 @@ class NodeThread:
             self._order.where,
             self._finish,
             self._wire.endpoints,
-            self._say,
+            self._tell,
             Path(self._order.kept) if self._order.kept else None,
             lambda: self._executor.is_stopped,
         )
@@ -211,6 +214,14 @@ class NodeThread:
             self._is_deaf = True
         else:
             self._finish()
+
+    def _tell(self, line: str) -> None:
+        """Tells the user a line, and whoever reads `/rosout`; from any thread."""
+        self._say(line)
+        self._lines.offer(line)
+
+    def _log(self, line: str) -> None:
+        self._bus.publish(ROSOUT, convert.line_to_log(self._clock.now(), self.name, line))
 
     def _finish(self) -> None:
         self._executor.stop()
