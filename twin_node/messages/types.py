@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -90,7 +90,15 @@ class MessageTypes:
     def type_hash(self, name: str) -> str:
         """RIHS01 hash of the type, as ROS 2 announces it (REP-2016)."""
         self._require(name)
-        return _as_idl(self._store).hash_rihs01(name)
+        return self._as_idl.hash_rihs01(name)
+
+    @cached_property
+    def _as_idl(self) -> Typestore:
+        """The types' fields as rosidl makes IDL of them, which hashes are of: a `char` is a `uint8` there."""
+        fields = Typestore()
+        for name, (constants, members) in self._store.fielddefs.items():
+            fields.fielddefs[name] = (constants, [(member, _idl_field(kind)) for member, kind in members])
+        return fields
 
     def with_types(self, types: Typesdict) -> MessageTypes:
         """This set and types of names that it does not have, whose fields are all of known types."""
@@ -135,14 +143,6 @@ def _copy(store: Typestore) -> Typestore:
     copied.fielddefs.update(store.fielddefs)
     copied.types.update(store.types)
     return copied
-
-
-def _as_idl(store: Typestore) -> Typestore:
-    """The fields of a set's types as rosidl makes IDL of them, which hashes are of: a `char` is a `uint8` there."""
-    fields = Typestore()
-    for name, (constants, members) in store.fielddefs.items():
-        fields.fielddefs[name] = (constants, [(member, _idl_field(kind)) for member, kind in members])
-    return fields
 
 
 def _idl_field(field: Any) -> Any:

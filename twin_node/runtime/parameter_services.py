@@ -12,10 +12,10 @@ import inspect
 import json
 import re
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -71,7 +71,8 @@ class Parameter:
     kind: ParameterType
     value: Any
     """None where it is not set."""
-    description: str = ""
+    describe: Callable[[], str] = str
+    """Says what it is, which takes a look into the source: only who asks waits for that."""
 
     def to_message(self) -> Message:
         """A `rcl_interfaces/msg/ParameterValue`."""
@@ -84,12 +85,12 @@ def parameters_of(values: Any, prefix: str = "") -> dict[str, Parameter]:
     What ROS 2 has no type for, as a list of lists, is a text in JSON.
     """
     found: dict[str, Parameter] = {}
-    for name, value, description in _members(values):
+    for name, value, describe in _members(values):
         full = f"{prefix}{SEPARATOR}{name}" if prefix else name
         if dataclasses.is_dataclass(value) or (isinstance(value, Mapping) and value):
             found.update(parameters_of(value, full))
         else:
-            found[full] = _parameter(value, description)
+            found[full] = _parameter(value, describe)
     return found
 
 
@@ -129,32 +130,34 @@ def value_of(message: Message) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def _members(values: Any) -> Iterator[tuple[str, Any, str]]:
-    """Name, value and description of what a dataclass or a mapping holds."""
+def _members(values: Any) -> Iterator[tuple[str, Any, Callable[[], str]]]:
+    """Name and value of what a dataclass or a mapping holds, and what says what it is."""
     if isinstance(values, Mapping):
-        yield from ((str(key), value, "") for key, value in values.items())
+        yield from ((str(key), value, str) for key, value in values.items())
         return
-    kind: Any = type(values)
-    described = _descriptions(kind)
     for field in dataclasses.fields(values):
         if field.init:
-            yield field.name, getattr(values, field.name), described.get(field.name, "")
+            yield field.name, getattr(values, field.name), partial(_description, type(values), field.name)
 
 
-def _parameter(value: Any, description: str) -> Parameter:
+def _description(kind: Any, field: str) -> str:
+    return _descriptions(kind).get(field, "")
+
+
+def _parameter(value: Any, describe: Callable[[], str]) -> Parameter:
     """A plain value with the type that ROS 2 has for it."""
     value = _plain(value)
     if value is None:
-        return Parameter(ParameterType.NOT_SET, None, description)
+        return Parameter(ParameterType.NOT_SET, None, describe)
     if type(value) in _OF_ONE:
-        return Parameter(_OF_ONE[type(value)], value, description)
+        return Parameter(_OF_ONE[type(value)], value, describe)
     if isinstance(value, list):
         kinds = {type(one) for one in value} or {str}
         if kinds == {int, float}:
             value, kinds = [float(one) for one in value], {float}
         if len(kinds) == 1 and (kind := kinds.pop()) in _OF_SEVERAL:
-            return Parameter(_OF_SEVERAL[kind], value, description)
-    return Parameter(ParameterType.STRING, json.dumps(value), description)
+            return Parameter(_OF_SEVERAL[kind], value, describe)
+    return Parameter(ParameterType.STRING, json.dumps(value), describe)
 
 
 def _plain(value: Any) -> Any:
@@ -225,7 +228,7 @@ def _describe(parameters: Mapping[str, Parameter], request: Message) -> Message:
         made(
             name=name,
             type=int((known := parameters.get(name, _UNDECLARED)).kind),
-            description=known.description,
+            description=known.describe(),
             additional_constraints="",
             read_only=True,
             dynamic_typing=False,

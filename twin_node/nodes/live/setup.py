@@ -63,7 +63,7 @@ class Setup:
 
     def read(self, follows_clock: bool) -> dict[str, Parameter]:
         """By name, the parameters that the node has read so far, and `use_sim_time`: what others are told of it."""
-        found = {USE_SIM_TIME: Parameter(ParameterType.BOOL, follows_clock, "Whether the node's time is /clock's.")}
+        found = {USE_SIM_TIME: Parameter(ParameterType.BOOL, follows_clock, lambda: "Whether its time is /clock's.")}
         for section, values in self.taken.items():
             found.update(parameters_of(values, section))
         return found
