@@ -51,6 +51,14 @@ def test_frusta_pass_through_the_corners_of_the_image() -> None:
     pixels = far[:, :2] / far[:, 2:] * 100 + [49.5, 29.5]
     assert set(np.unique(pixels.round(6)[:, 0])) == {-0.5, 99.5}
     assert set(np.unique(pixels.round(6)[:, 1])) == {-0.5, 59.5}
+    edges = [{tuple(end.round(6)) for end in edge} for edge in points.reshape(8, 2, 3)]
+    corners, eye = {tuple(end) for end in far.round(6)}, (0.0, 0.0, 0.0)
+    assert len(corners) == 4
+    assert all({eye, corner} in edges for corner in corners)
+    rim = [np.array(list(edge)) for edge in edges if eye not in edge]
+    assert len(rim) == 4, "each side of the image once, and no diagonals"
+    assert {tuple(np.abs(a - b).round(6)) for a, b in rim} == {(0.3, 0.0, 0.0), (0.0, 0.18, 0.0)}
+    assert len({tuple(np.mean(side, axis=0).round(6)) for side in rim}) == 4
     assert len(serialize(message)) > 100
 
 
