@@ -192,6 +192,25 @@ def test_who_has_just_taken_a_row_comes_from_nowhere() -> None:
         assert before.quats[0, 0].tolist() == pytest.approx(turned.tolist()), since
 
 
+def test_who_has_just_taken_a_row_comes_from_where_the_set_of_its_birth_shows_it() -> None:
+    nodes, newest = moving_nodes(1.0), 1000 + 6 * TICK_NS
+    nodes.retire(torch.tensor([0]))
+    born, third = newest + TICK_NS, TICK_NS // 3
+    nodes.predict(born, 1.0)
+    origin = torch.zeros(3, dtype=torch.float64)
+    assert nodes.give_birth(origin + 5, origin + 2) == 0
+    nodes.remember()
+
+    def before(stamp: int, ago_ns: int) -> float:
+        return float(nodes.poses_before(stamp, ago_ns).positions[0, 0, 0])
+
+    assert before(born + third, third) == pytest.approx(5.0)
+    assert before(born + third, 2 * third) == pytest.approx(5.0), "between the sets it is where it was born"
+    assert before(born + third, third + TICK_NS) == pytest.approx(5.022), "not yet there, so it has not moved"
+    assert before(born, TICK_NS) == pytest.approx(5.0), "the row was another's until this very set"
+    assert before(newest, third) == pytest.approx(0.198 - 0.011), "who had the row before has its own past"
+
+
 def test_what_is_born_after_a_set_moves_from_there_and_leaves_what_the_set_has_shown() -> None:
     nodes = moving_nodes(1.0)
     nodes.retire(torch.tensor([0]))
