@@ -1,0 +1,144 @@
+"""What comes to rest, by how much sets tell of it, and wakes again, by how much of it looks otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from model_scenes import table
+from test_steps import CAMERAS, look_at, observe, world
+
+from twin_node.model.backgrounds import Backgrounds
+from twin_node.model.decisions import ChangedView, Kind, LogEvidence
+from twin_node.model.gaussians import Gaussians
+from twin_node.model.long_rest import STANDS_NS
+from twin_node.model.nodes import Nodes
+from twin_node.model.observation import Observed
+from twin_node.model.rendering import Rendering
+from twin_node.model.resting import RESTS, Resting
+from twin_node.model.sweep import shell_around
+from twin_node.scene import Float64
+
+ORIGIN = torch.zeros(3, dtype=torch.float64)
+GROUP = 7
+"""Id of the node that something at rest had."""
+
+
+def told(nats: float) -> LogEvidence:
+    """A set that resting explains better than moving by so much."""
+    return LogEvidence(one=-100.0, two=-np.inf, at_rest=-100.0 + nats, misfit=1.0)
+
+
+def sets_until_settled(nats: list[float | None], step_s: float) -> int:
+    """After how many sets a node settles of which each tells so many nats, and None nothing: the last for good."""
+    nodes = Nodes(2, 4)
+    nodes.give_birth(ORIGIN, ORIGIN)
+    resting = Resting(Gaussians(4, torch.device("cpu")), nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    for count in range(100):
+        now = nats[min(count, len(nats) - 1)]
+        if resting.settle({} if now is None else {0: told(now)}, step_s):
+            return count + 1
+    return -1
+
+
+@pytest.mark.parametrize(("nats", "sets"), [(RESTS, 5), (20 * RESTS, 5), (RESTS / 2, 9), (RESTS / 4, 17)])
+def test_a_set_that_hardly_tells_of_rest_counts_for_less_and_none_for_more_than_itself(nats: float, sets: int) -> None:
+    assert sets_until_settled([nats], 0.25) == sets
+
+
+def test_rest_is_counted_in_seconds_whatever_the_rate_of_the_sets() -> None:
+    assert sets_until_settled([RESTS], 0.125) == 9
+
+
+def test_one_set_without_rest_and_it_is_counted_from_the_beginning() -> None:
+    assert sets_until_settled([RESTS, RESTS, RESTS, RESTS, None, RESTS], 0.25) == 5 + 5
+
+
+def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_something_moves_for_long() -> None:
+    nodes = Nodes(4, 4)
+    for _ in range(2):
+        nodes.give_birth(ORIGIN, ORIGIN)
+    resting = Resting(Gaussians(4, torch.device("cpu")), nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    carriers = np.array([0, 0, 1, -1])
+
+    def asked(stamp: int, *still: bool) -> list[bool]:
+        nodes.stamp = stamp
+        return list(map(bool, resting.has_kept_still(carriers, np.array(still))))
+
+    assert asked(1, True, True, True, True) == [False] * 4, "who is new to it has not kept still for long"
+    assert asked(2, True, False, True, True) == [False] * 4
+    assert asked(1 + STANDS_NS, True, True, True, True) == [False] * 4
+    assert asked(2 + STANDS_NS, True, True, True, True) == [False, False, True, False]
+    assert asked(3 + STANDS_NS, True, True, True, True) == [True, True, True, False]
+    assert asked(4 + STANDS_NS, False, True, True, True) == [False, False, True, False]
+
+
+class AtRest:
+    """As many Gaussians of a table as one view shows are one thing at rest; `changed` of them look otherwise."""
+
+    def __init__(self, count: int, changed: int) -> None:
+        static = table()
+        self.gaussians, backgrounds = world(static)
+        backgrounds.of(self.gaussians, CAMERAS)
+        self.seeing: Observed = observe(static, None)[0]
+        self.drawn: Rendering = look_at(static)[0]
+        seen = self.seeing.background.static
+        pixels = seen.rows * CAMERAS[0].width + seen.columns
+        shown = seen.inside & ~self.seeing.background.occluded(seen) & self.seeing.usable[seen.rows, seen.columns]
+        _, first = np.unique(pixels[shown], return_index=True)
+        own = np.flatnonzero(shown)[first[:count]]
+        self.gaussians.rested[backgrounds.rows[torch.from_numpy(own)]] = GROUP
+        self.at = seen.rows[own], seen.columns[own]
+        self.depths: Float64 = seen.depth[own]
+        rgb = self.drawn.pixels[..., :3].copy()
+        rgb[seen.rows[own[:changed]], seen.columns[own[:changed]]] += 0.5
+        self.seeing = replace(self.seeing, rgb=rgb, active=np.zeros_like(self.seeing.active))
+        self.nodes = Nodes(1, 4)
+        self.resting = Resting(self.gaussians, self.nodes, backgrounds)
+
+    def hide(self, share: float) -> None:
+        """Something that moves is drawn before it, at a share of its depth."""
+        active, pixels = np.zeros_like(self.seeing.active), self.drawn.pixels.copy()
+        active[self.at] = True
+        pixels[(*self.at, 3)] = share * self.depths
+        self.seeing = replace(self.seeing, active=active)
+        self.drawn = replace(self.drawn, rgbd=torch.from_numpy(pixels))
+
+    @property
+    def wakes(self) -> bool:
+        """Whether it has a node now."""
+        self.woken = self.resting.wake([self.seeing], [self.drawn])
+        return bool(self.woken)
+
+
+@pytest.mark.parametrize(
+    ("shown", "changed", "wakes"), [(20, 5, True), (20, 4, False), (24, 5, False), (4, 3, True), (4, 2, False)]
+)
+def test_what_rests_wakes_where_a_quarter_of_what_is_seen_looks_otherwise_and_no_single_ones(
+    shown: int, changed: int, wakes: bool
+) -> None:
+    thing = AtRest(shown, changed)
+    assert thing.wakes == wakes
+    assert int((thing.gaussians.rested == GROUP).sum()) == (0 if wakes else shown)
+    if wakes:
+        assert int((thing.gaussians.nodes >= 0).sum()) == shown, "all of it, whatever has changed"
+        [decision] = thing.woken
+        assert (decision.kind, decision.node, decision.grounds) == (Kind.WOKEN, GROUP, ChangedView(shown, changed))
+
+
+@pytest.mark.parametrize(("share", "wakes"), [(0.5, False), (1.0, True)])
+def test_what_something_that_moves_hides_does_not_look_otherwise(share: float, wakes: bool) -> None:
+    thing = AtRest(20, 10)
+    thing.hide(share)
+    assert thing.wakes == wakes
+
+
+def test_what_rests_goes_on_resting_while_there_is_no_node_for_it() -> None:
+    thing = AtRest(20, 10)
+    row = thing.nodes.give_birth(ORIGIN, ORIGIN)
+    assert not thing.wakes
+    assert int((thing.gaussians.rested == GROUP).sum()) == 20
+    thing.nodes.retire(torch.tensor([row]))
+    assert thing.wakes
