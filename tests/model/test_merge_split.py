@@ -243,6 +243,39 @@ def test_what_errs_throughout_a_body_is_no_second_one_and_what_parts_is() -> Non
     assert lie_apart(centres[:3], np.array([[True, False, True]])).all(), "three cells are too few to tell"
 
 
+@pytest.mark.parametrize(("nats", "goes_along"), [(0.5, True), (0.9, True), (1.1, False), (3.0, False)])
+def test_a_cell_that_tells_less_than_a_nat_of_whose_it_is_goes_with_its_neighbours(
+    nats: float, goes_along: bool
+) -> None:
+    centres, misfit, odd = np.stack([0.06 * np.arange(12), np.zeros(12), np.zeros(12)], 1), 0.04, 2
+    second = np.arange(12) >= 6
+    one, other = np.array([0.1, 0, 0, 0, 0, 0]), np.array([0.1, 0.1, 0, 0, 0, 0])
+    motions = np.where(second[:, None], other, one)
+    motions[odd] = other
+    apart = told(np.tile(other - one, (12, 1)), centres, 1, noise=0.0).squares[odd]
+    share = np.ones(12)
+    share[odd] = nats * 2 * misfit / apart
+    along = redealt(weighed(told(motions, centres, 1, noise=0.0), share), centres, second, misfit)
+    assert bool(along[odd]) != goes_along
+    assert np.array_equal(np.delete(along, odd), np.delete(second, odd))
+
+
+@pytest.mark.parametrize("weak", [False, True])
+def test_where_no_cell_of_one_part_tells_whose_it_is_none_changes_hands(weak: bool) -> None:
+    """Else all would go to the part of which some tell."""
+    centres, second = np.stack([0.06 * np.arange(12), np.zeros(12), np.zeros(12)], 1), np.arange(12) >= 6
+    motions = np.where(second[:, None], [0.1, 0.1, 0, 0, 0, 0], [0.1, 0, 0, 0, 0, 0])
+    said = weighed(told(motions, centres, 1, noise=0.0), np.where(second == weak, 1e-4, 1.0))
+    assert np.array_equal(redealt(said, centres, second, 0.04), second)
+
+
+def weighed(said: VelocityEquations, share: np.ndarray) -> VelocityEquations:
+    """What was said by a share [c] of the points of each cell."""
+    return VelocityEquations(
+        said.H * share[:, None, None], said.g * share[:, None], said.squares * share, said.counts * share
+    )
+
+
 def test_a_suspicion_that_tells_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """It must tell more and more, or another cut is looked for without it."""
     cells, asked = row_of(12, [0] * 12), []
