@@ -98,6 +98,14 @@ def test_commands_are_underway_for_as_long_as_they_take() -> None:
         assert (commands.underway(NOW + ms * MS).share, commands.least(NOW + ms * MS)) == (most, least)
 
 
+@pytest.mark.parametrize(("ms", "least"), [(100, 0.3), (199, 0.3), (200, 0.6)])
+def test_the_least_that_it_may_be_held_to_is_told_though_nobody_asks_for_the_most(ms: int, least: float) -> None:
+    commands = Commands(0.1)
+    for told_ms, share in ((0, 0.3), (100, 0.6)):
+        commands.tell(share, NOW + told_ms * MS)
+    assert commands.least(NOW + ms * MS) == least
+
+
 def test_a_clock_that_is_put_back_keeps_no_command_underway_for_ever() -> None:
     commands = Commands(0.1)
     commands.tell(0.9, NOW)

@@ -62,8 +62,9 @@ def test_rows_are_met_and_joined() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0, 6.0])
-def test_beyond_its_last_row_a_table_counts_in_proportion_among_others_too(speed: float) -> None:
-    slow = StoppingTable(np.array([1.0]), np.array([[0.5]]), np.array([[0.3]]))
+@pytest.mark.parametrize("last", [0.5, 1.0, 2.0])
+def test_beyond_its_last_row_a_table_counts_in_proportion_among_others_too(speed: float, last: float) -> None:
+    slow = StoppingTable(np.array([last]), np.array([[0.5 * last]]), np.array([[0.3 * last**2]]))
     quick = StoppingTable(np.array([1.0, 4.0]), np.array([[0.1], [0.4]]), np.array([[0.05], [0.8]]))
     at = np.array([speed])
     for both in (slow.slower_of(quick), quick.slower_of(slow)):
@@ -98,6 +99,12 @@ def test_the_table_of_an_arm_of_other_joints_is_refused() -> None:
         stopping_table("ur5e").stop(np.ones(7))
     with pytest.raises(ArmError, match="expected one of 6 joints, found one of 7"):
         stopping_table("ur5e").slower_of(stopping_table("another", 7))
+
+
+def test_a_joint_that_stops_at_once_is_no_error() -> None:
+    table = StoppingTable(np.array([1.0]), np.array([[0.0, 0.2]]), np.array([[0.0, 0.1]]))
+    assert table.stop(np.array([1.0, 0.0])).duration_s == 0
+    assert table.stop(np.array([1.0, 1.0])).duration_s == 0.2
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.1])
