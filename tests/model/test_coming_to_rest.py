@@ -12,7 +12,7 @@ from test_steps import CAMERAS, look_at, observe, world
 
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import ChangedView, Kind, LogEvidence
-from twin_node.model.gaussians import Gaussians
+from twin_node.model.gaussians import QUAT, Gaussians
 from twin_node.model.long_rest import STANDS_NS
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed
@@ -54,6 +54,23 @@ def test_rest_is_counted_in_seconds_whatever_the_rate_of_the_sets() -> None:
 
 def test_one_set_without_rest_and_it_is_counted_from_the_beginning() -> None:
     assert sets_until_settled([RESTS, RESTS, RESTS, RESTS, None, RESTS], 0.25) == 5 + 5
+
+
+def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_again() -> None:
+    gaussians, nodes = Gaussians(4, torch.device("cpu")), Nodes(2, 4)
+    for _ in range(2):
+        nodes.give_birth(ORIGIN, ORIGIN)
+    settled = int(nodes.ids[0])
+    gaussians.alive[:3] = True
+    gaussians.nodes[:] = torch.tensor([0, 0, 1, 0])  # the last one is dead
+    gaussians.values[:, QUAT] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    assert not nodes.free
+    [decision] = resting.settle({0: told(RESTS), 1: told(0.1 * RESTS)}, 1.1)
+    assert (decision.kind, decision.node, decision.grounds) == (Kind.SETTLED, settled, told(RESTS))
+    assert [gaussians.rested[row] == settled for row in range(4)] == [True, True, False, False]
+    assert gaussians.nodes[:3].tolist() == [-1, -1, 1]
+    assert nodes.free
 
 
 def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_something_moves_for_long() -> None:

@@ -56,13 +56,14 @@ def test_what_is_measured_is_needed_unless_another_view_sees_through_it(
 
 
 class Judged:
-    """A Gaussian that stands off the plane, and that views see without anything before it."""
+    """A Gaussian that stands off the plane, or lies on it, and that views see without anything before it."""
 
-    def __init__(self, views: int = 2) -> None:
+    def __init__(self, views: int = 2, on_plane: bool = False) -> None:
         static = joined(table(), block(-0.2))
         self.drawn = look_at(static)[:views]
         self.observed = [replace(one, active=np.zeros_like(one.active)) for one in observe(static, -0.2, True)[:views]]
-        is_apart = static.means[0, :, 2].numpy() > 0.06
+        heights = static.means[0, :, 2].numpy()
+        is_apart = heights == 0 if on_plane else heights > 0.06
         for one in self.observed:
             is_apart &= one.background.static.inside & ~one.background.occluded(one.background.static)
         self.index = int(np.flatnonzero(is_apart)[0])
@@ -157,6 +158,38 @@ def test_what_every_view_that_should_show_it_shows_otherwise_has_left(
     one.seen(0, None, 1.0, moving=False)
     one.seen(1, None, surprise * MOVING_THRESHOLD, moving=False)
     assert bool(judge(one.observed, one.drawn).left[one.index]) == left
+
+
+@JUDGES
+def test_what_one_view_measures_depth_behind_has_left_whatever_others_show(judge: Judge) -> None:
+    one = Judged()
+    one.seen(0, 1 + 1.2 * SEEN_THROUGH, 0.0, moving=False)
+    one.seen(1, 1.0, 0.0, moving=False)
+    assert not judge(one.observed, one.drawn).left[one.index], "nothing has been active there"
+    one.drawn_before(0, 0.0, active=True)
+    assert judge(one.observed, one.drawn).left[one.index]
+
+
+@JUDGES
+@pytest.mark.parametrize("usable", [True, False])
+def test_pixels_that_do_not_count_speak_neither_for_nor_against_what_stands(judge: Judge, usable: bool) -> None:
+    one = Judged()
+    one.seen(0, None, 0.0, moving=False)
+    one.seen(1, None, 1.0, moving=False)
+    one.observed[0] = replace(one.observed[0], usable=np.full_like(one.observed[0].usable, usable))
+    assert bool(judge(one.observed, one.drawn).left[one.index]) != usable, "shown unchanged by a view that counts"
+
+
+@JUDGES
+def test_what_lies_on_the_plane_leaves_by_measured_depth_alone_and_never_moves(judge: Judge) -> None:
+    one = Judged(on_plane=True)
+    for view in range(2):
+        one.seen(view, None, 1.0, moving=True)
+    told = judge(one.observed, one.drawn)
+    assert not told.left[one.index] and not told.moving[one.index]
+    one.seen(0, 1 + 1.2 * SEEN_THROUGH, 0.0, moving=False)
+    one.drawn_before(0, 0.0, active=True)
+    assert judge(one.observed, one.drawn).left[one.index]
 
 
 def test_a_view_sees_through_nothing_that_is_beyond_its_image() -> None:
