@@ -19,7 +19,7 @@ from twin_node.model.observation import Observed
 from twin_node.model.rendering import Rendering
 from twin_node.model.resting import RESTS, Resting
 from twin_node.model.sweep import shell_around
-from twin_node.scene import Float64
+from twin_node.scene import Float64, Tier
 
 ORIGIN = torch.zeros(3, dtype=torch.float64)
 GROUP = 7
@@ -95,7 +95,8 @@ def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_somet
 class AtRest:
     """As many Gaussians of a table as one view shows are one thing at rest; `changed` of them look otherwise."""
 
-    def __init__(self, count: int, changed: int) -> None:
+    def __init__(self, count: int, changed: int, group: int = GROUP, beside: int = 0) -> None:
+        """Of the Gaussians `beside` those are another thing at rest, which looks as it did."""
         static = table()
         self.gaussians, backgrounds = world(static)
         backgrounds.of(self.gaussians, CAMERAS)
@@ -105,8 +106,11 @@ class AtRest:
         pixels = seen.rows * CAMERAS[0].width + seen.columns
         shown = seen.inside & ~self.seeing.background.occluded(seen) & self.seeing.usable[seen.rows, seen.columns]
         _, first = np.unique(pixels[shown], return_index=True)
-        own = np.flatnonzero(shown)[first[:count]]
-        self.gaussians.rested[backgrounds.rows[torch.from_numpy(own)]] = GROUP
+        apart = np.flatnonzero(shown)[first]
+        own = apart[:count]
+        self.rows = backgrounds.rows[torch.from_numpy(own)]
+        self.gaussians.rested[self.rows] = group
+        self.gaussians.rested[backgrounds.rows[torch.from_numpy(apart[count : count + beside])]] = group + 1
         self.at = seen.rows[own], seen.columns[own]
         self.depths: Float64 = seen.depth[own]
         rgb = self.drawn.pixels[..., :3].copy()
@@ -150,6 +154,35 @@ def test_what_something_that_moves_hides_does_not_look_otherwise(share: float, w
     thing = AtRest(20, 10)
     thing.hide(share)
     assert thing.wakes == wakes
+
+
+def test_things_at_rest_are_looked_at_each_by_itself() -> None:
+    """The first node of all may be the one that came to rest."""
+    thing = AtRest(8, 4, group=0, beside=40)
+    assert thing.wakes
+    assert [one.node for one in thing.woken] == [0]
+    assert int((thing.gaussians.rested == 1).sum()) == 40
+
+
+def test_what_has_died_of_a_thing_at_rest_does_not_look_otherwise() -> None:
+    thing = AtRest(20, 5)
+    thing.gaussians.alive[thing.rows[:2]] = False
+    assert not thing.wakes
+
+
+def test_what_is_laid_down_stands_for_the_node_that_carried_it_and_for_none_where_none_did() -> None:
+    gaussians, nodes = Gaussians(5, torch.device("cpu")), Nodes(2, 4)
+    for _ in range(2):
+        nodes.give_birth(ORIGIN, ORIGIN)
+    gaussians.alive[:] = True
+    gaussians.tiers[:], gaussians.nodes[:] = int(Tier.RIGID), torch.tensor([0, 0, 1, -1, 1])
+    gaussians.values[:, QUAT] = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    resting.lay(torch.tensor([0, 2, 3]))
+    assert [gaussians.tiers[row] == Tier.STATIC for row in range(5)] == [True, False, True, True, False]
+    assert gaussians.nodes.tolist() == [-1, 0, -1, -1, 1]
+    assert gaussians.rested.tolist() == [nodes.ids[0], -1, nodes.ids[1], -1, -1]
+    assert not nodes.free, "what is left of them is still carried"
 
 
 def test_what_rests_goes_on_resting_while_there_is_no_node_for_it() -> None:
