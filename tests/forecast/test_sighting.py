@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -74,18 +75,19 @@ def test_a_box_lets_all_that_it_holds_get_as_far_as_the_forecast_does(seed: int,
         assert (reach_about(obstacles, GRID.centers(np.array([index]))[0], HORIZONS) >= STARTED - 1e-9).all()
 
 
-def test_rims_are_widened_little() -> None:
+@pytest.mark.parametrize(("radius", "of_rims"), [(0.2, 0.05), (0.03, 0.03)])
+def test_rims_are_widened_little_and_no_more_than_their_parts(radius: float, of_rims: float) -> None:
     parts, _ = moving(3)
     still = Prediction(
         np.zeros((5, parts.count, 3)),
-        np.full((5, parts.count), 0.2),
+        np.full((5, parts.count), radius),
         np.zeros(parts.count, np.bool_),
         Swerves(np.zeros((5, parts.count, 3)), np.zeros(parts.count, np.bool_)),
     )
     seen = sighted(GRID, parts, np.zeros(0, np.int64), still, STARTED, HORIZONS)
     rounding = np.sqrt(3) / 2 * GRID.voxel_size
-    assert np.allclose(seen.likely.reached, 0.2 + rounding)
-    assert np.allclose(seen.rims.reached, 0.05 + rounding)
+    assert np.allclose(seen.likely.reached, radius + rounding)
+    assert np.allclose(seen.rims.reached, of_rims + rounding)
     assert (seen.likely.speeds == 0).all() and (seen.rims.speeds == 0).all()
 
 

@@ -93,4 +93,4 @@ def sighted(
 def _lines(reach: Float64, horizons: Float64) -> tuple[Float64, Float64]:
     """`reached` and `speeds` [K] of lines from the first horizon on, above what is reached [H, K] at every horizon."""
     later = (horizons[1:] - horizons[0])[:, None]
-    return reach[0], np.maximum((reach[1:] - reach[0]) / later, 0.0).max(axis=0, initial=0.0)
+    return reach[0], ((reach[1:] - reach[0]) / later).max(axis=0, initial=0.0)
