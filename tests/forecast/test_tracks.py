@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from twin_node.forecast.tracks import Tracks
 
@@ -36,6 +37,33 @@ def test_a_leap_begins_a_new_path() -> None:
     assert tracks.born.tolist() == [5 * PERIOD, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("step_s", "way_m", "leaps"), [(0.1, 1.49, False), (0.1, 1.51, True), (0.005, 0.29, False), (0.005, 0.31, True)]
+)
+def test_what_is_faster_than_a_throw_leaps_and_short_ways_are_none_however_soon(
+    step_s: float, way_m: float, leaps: bool
+) -> None:
+    tracks = Tracks()
+    tracks.extend(0.0, place(0), np.array([-1, -1]))
+    assert not tracks.velocities.any(), "of one place nothing is told"
+    association = tracks.extend(step_s, place(0) + np.array([[way_m, 0, 0], [0, 0, 0]]), np.arange(2))
+    assert association.paths.tolist() == [-1 if leaps else 0, 1]
+    assert tracks.velocities[:, 0] == pytest.approx([0.0 if leaps else way_m / step_s, 0.0])
+
+
+@pytest.mark.parametrize(("away_m", "path", "record"), [(0.11, 0, 0), (0.13, -1, 0), (0.29, -1, 0), (0.31, -1, -1)])
+def test_a_part_goes_on_with_the_path_beside_it_and_with_the_record_of_one_near_it(
+    away_m: float, path: int, record: int
+) -> None:
+    """Beside where it came from, not where it is."""
+    tracks = Tracks()
+    tracks.follow(0.0, np.zeros((1, 3)), np.zeros((1, 3)))
+    velocity = np.array([[0.0, 3.0, 0.0]])
+    association = tracks.follow(0.1, np.array([[away_m, 0.3, 0.0]]), velocity)
+    assert (association.paths.tolist(), association.records.tolist()) == ([path], [record])
+    assert tracks.positions[:, 0].tolist() == [pytest.approx([away_m, 0.0, 0.0]), [away_m, 0.3, 0.0]]
+
+
 def test_parts_continue_the_path_of_what_was_where_they_came_from() -> None:
     tracks = Tracks()
     for sample in range(4):
@@ -61,6 +89,14 @@ def test_old_samples_are_dropped() -> None:
         tracks.follow(sample * PERIOD, place(sample), VELOCITY)
     assert tracks.times[0] > 98 * PERIOD - 1.1
     assert len(tracks.positions) == len(tracks.times)
+
+
+def test_paths_are_kept_for_a_second() -> None:
+    tracks = Tracks()
+    for sample in range(20):
+        tracks.follow(0.125 * sample, np.array([[sample, 0.0, 0.0]]), np.array([[8.0, 0.0, 0.0]]))
+    assert tracks.times.tolist() == [0.125 * sample for sample in range(11, 20)]
+    assert tracks.positions[:, 0, 0].tolist() == list(range(11, 20))
 
 
 def test_nothing_to_follow_is_followed() -> None:

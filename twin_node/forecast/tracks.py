@@ -55,7 +55,7 @@ class Tracks:
         leaps = np.linalg.norm(positions - last, axis=1) > np.maximum(MOST_SPEED * step, JUMP)
         rows = np.where(leaps, -1, rows)
         moved = np.where(rows[:, None] < 0, 0, positions - last)
-        self._go_on(time, rows, positions - moved, positions, shift=False)
+        self._go_on(time, rows, positions, positions, shift=False)
         self.velocities = moved / step if step > 0 else np.zeros_like(moved)
         return Association(rows, rows)
 
