@@ -22,9 +22,29 @@ def test_what_moves_unforeseen_is_told_until_the_forecast_holds_it_again() -> No
     assert watch.after(UNFORESEEN).after(FORESEEN).warnings == ()
 
 
+@pytest.mark.parametrize(("covered", "is_told"), [(81, False), (79, True)])
+def test_what_moves_is_unforeseen_where_a_fifth_of_it_is_outside_the_forecast(covered: int, is_told: bool) -> None:
+    held = Held(seen=100, covered=covered)
+    watch = Watch().after(held)
+    assert watch.unforeseen == pytest.approx(1 - held.share) == pytest.approx(1 - covered / 100)
+    assert bool(watch.warnings) == is_told
+
+
 def test_too_little_to_judge_by_tells_nothing() -> None:
     few = Held(seen=FEWEST - 1, covered=0, measured=FEWEST - 1, agreed=0)
-    assert Watch().after(few).warnings == ()
+    assert Watch().after(few) == Watch()
+    enough = Watch().after(Held(seen=FEWEST, covered=0, measured=FEWEST, agreed=0))
+    assert enough.unforeseen == 1 and enough.agreement < 1
+
+
+def test_cameras_at_odds_after_a_long_time_of_agreement_are_told_of_within_half_a_second() -> None:
+    watch, told = Watch(), []
+    for _ in range(1000):
+        watch = watch.after(FORESEEN)
+    for _ in range(10):
+        watch = watch.after(AT_ODDS)
+        told.append(bool(watch.warnings))
+    assert told == [False] * 6 + [True] * 4
 
 
 def test_cameras_at_odds_are_told_once_they_have_been_for_a_while() -> None:
