@@ -66,6 +66,41 @@ def test_points_that_no_other_camera_confirms_are_not_asked_for() -> None:
     assert nothing.seen == nothing.covered == nothing.agreed == 0
 
 
+def test_of_pixels_those_count_that_show_to_move_where_the_chosen_parts_are() -> None:
+    margin = Margin(GRID, 0.15)
+    ball, state = ball_voxels(CENTER, 0.16), state_of(0, CENTER)
+    tables, parts = RigTables(margin.outer), halves(margin, ball_voxels(CENTER, 0.16))
+    judged = Judgement(state, margin, tables, ball, parts)
+    one, other, both = (judged.of(np.array(chosen)) for chosen in ([True, False], [False, True], [True, True]))
+    assert 0 < one.seen < both.seen and 0 < other.seen < both.seen <= one.seen + other.seen
+    still = replace(
+        state, moving_masks=(*(np.zeros_like(mask) for mask in state.moving_masks[1:]), state.moving_masks[0])
+    )
+    assert 0 < Judgement(still, margin, tables, ball, parts).of(ALL).seen < both.seen
+
+
+@pytest.mark.parametrize(("grown_px", "is_asked"), [(0, False), (5, False), (9, True)])
+def test_whether_cameras_see_past_what_is_measured_is_asked_where_much_of_it_is_unexplained(
+    grown_px: int, is_asked: bool
+) -> None:
+    margin = Margin(GRID, 0.15)
+    state = state_of(0, CENTER, radius=0.05, cameras=RIG[:1], with_depth=True)
+    if grown_px:
+        wider = cv2.dilate(state.moving_masks[0].astype(np.uint8), np.ones((grown_px, grown_px), np.uint8)) > 0
+        state = replace(state, moving_masks=(wider,))
+    ball, asked = ball_voxels(CENTER, 0.08), []
+    judgement = Judgement(state, margin, RigTables(margin.outer), ball, halves(margin, ball))
+    held = judgement.of(ALL)
+
+    def sees_past(voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        asked.append(len(voxels))
+        return np.zeros(len(voxels), np.bool_)
+
+    assert judgement.of_all(sees_past).agreed == held.agreed
+    assert asked == ([held.measured - held.agreed] if is_asked else [])
+    assert (held.agreed < held.measured) == (grown_px > 0)
+
+
 @pytest.mark.parametrize("views", [0, 1, 3])
 def test_measured_points_are_found_compiled_as_reference(views: int) -> None:
     margin = Margin(GRID, 0.15)
