@@ -60,6 +60,35 @@ def test_what_is_seen_twice_may_be_two_things() -> None:
     assert not course_of(places, sigma=0.1).is_flight
 
 
+@pytest.mark.parametrize(("sigma", "is_flight"), [(0.018, True), (0.02, False), (0.03, False)])
+def test_three_places_are_a_flight_where_they_tell_its_velocity_to_forty_centimetres_a_second(
+    sigma: float, is_flight: bool
+) -> None:
+    course = course_of(path(3, np.array([3.0, 0.0, 0.0]), GRAVITY, noise_m=0), sigma)
+    assert course.flies
+    assert (course.velocity_sigma < 0.4) == is_flight
+    assert course.is_flight == is_flight
+
+
+def test_what_falls_is_still_on_its_course_after_sets_have_been_missed() -> None:
+    places = path(10, np.array([2.0, 0.0, 1.0]), GRAVITY)
+    seen = course_of(places[:6])
+    assert seen.falls
+    late = seen.followed(9 * PERIOD, places[9], SIGMA)
+    assert late.falls and len(late.way.times) > 1
+    straight = places[5] + 4 * PERIOD * seen.velocity
+    assert len(seen.followed(9 * PERIOD, straight, SIGMA).way.times) == 1, "it has hit something"
+
+
+def test_after_a_hit_the_velocity_is_known_no_better_than_by_how_much_it_changed() -> None:
+    down = path(6, np.array([2.0, 0.0, -1.0]), GRAVITY)
+    before = course_of(down)
+    hit = before.followed(6 * PERIOD, down[-1] + PERIOD * np.array([2.0, 0.0, 2.0]), SIGMA)
+    assert hit.velocity == pytest.approx([2.0, 0.0, 2.0])
+    assert hit.velocity_sigma == pytest.approx(np.linalg.norm(hit.velocity - before.velocity))
+    assert hit.velocity_sigma > 4
+
+
 def test_a_bounce_begins_a_new_course_of_what_is_known_to_fall() -> None:
     down = path(6, np.array([2.0, 0.0, -1.0]), GRAVITY)
     up = down[-1] + path(5, np.array([2.0, 0.0, 2.0]), GRAVITY)[1:] - np.array([0.0, 0.0, 1.0])

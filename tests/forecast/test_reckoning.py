@@ -143,6 +143,14 @@ def test_what_goes_back_beside_its_way_has_not_turned() -> None:
     assert noted.began[0] == 0.7
 
 
+@pytest.mark.parametrize(("factor", "has_turned"), [(-0.8, False), (-1.1, True)])
+def test_what_is_less_than_a_part_astray_has_not_turned(factor: float, has_turned: bool) -> None:
+    """Forecast to go 5 cm, it went back by 4 or 5.5: both farther than half of its bound, which counts here."""
+    knot = KNOTS.index(0.25)
+    _, noted = straight(factor, turns=True, turning=False, knot=knot)
+    assert noted.turned[0] == (0.7 if has_turned else -np.inf)
+
+
 def test_what_no_expert_foresaw_tells_nothing_of_whom_to_believe() -> None:
     _, unforeseen = straight(2.0, turns=True, turning=False)
     _, foreseen = straight(1.5, turns=True, turning=False)
