@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin_node.arm import ArmError, ArmPredictor, CyclicPath, default_path
-from twin_node.robot import ur_model
+from twin_node.robot import RobotError, ur_model
 from twin_node.scene import Float64, JointPath, JointSample
 
 MODEL = ur_model("ur5e")
@@ -125,6 +125,20 @@ def test_two_arms_under_the_same_names_are_neither(gap_ms: int) -> None:
     for when_ms in range(40, 520, 8):
         found.take_joints(joints(READY, 0 * TURNING, when_ms))
     np.testing.assert_allclose(pose_at(found, 520), READY)
+
+
+@pytest.mark.parametrize(
+    ("gap_ms", "turned", "jumps"), [(0, 0.09, False), (0, 0.11, True), (10, 0.24, False), (10, 0.26, True)]
+)
+@pytest.mark.parametrize("joint", [0, 5])
+def test_a_joint_jumps_where_it_gets_farther_than_the_fastest_and_a_little_more(
+    joint: int, gap_ms: int, turned: float, jumps: bool
+) -> None:
+    """A tenth of a radian for lost and late messages, and 15 rad/s, either way."""
+    for way in (turned, -turned):
+        found = predictor(planned(), joints(READY, 0 * TURNING, 0))
+        found.take_joints(joints(READY + way * np.eye(6)[joint], 0 * TURNING, gap_ms))
+        assert found.torn_rad(NOW + gap_ms * MS) == (pytest.approx(turned) if jumps else None)
 
 
 def test_joints_that_one_message_names_twice_are_two_arms() -> None:
@@ -256,6 +270,61 @@ def test_an_arm_for_which_no_cycle_can_be_made_up_stands_until_it_tells_of_itsel
     assert len(tries) == 1
     found.take_joints(joints(READY, 0 * TURNING, 0))
     np.testing.assert_allclose(pose_at(found, 0), READY)
+
+
+OTHERS = JointSample(NOW, tuple(f"other_{name}" for name in MODEL.joint_names), READY, 0 * TURNING)
+
+
+def test_of_an_arm_that_calls_its_joints_otherwise_it_is_known_that_it_is_there_and_not_where() -> None:
+    found = ArmPredictor(MODEL, unwanted, 0.4)
+    assert found.is_made_up and found.refused is None
+    found.take_joints(OTHERS)
+    assert not found.is_made_up
+    assert found.refused is not None and MODEL.joint_names[0] in found.refused
+    with pytest.raises(RobotError, match=MODEL.joint_names[0]):
+        found.ahead(NOW, NOW)
+
+
+def test_what_a_gripper_says_on_the_same_topic_takes_nothing_from_what_is_known_of_the_arm() -> None:
+    found = predictor(planned(), joints(READY, TURNING, 0))
+    found.take_joints(OTHERS)
+    assert found.refused is None
+    measured = found.joints(NOW)
+    assert measured is not None and measured.names == MODEL.joint_names
+
+
+def test_an_arm_of_which_only_what_cannot_be_believed_was_told_stands_until_it_tells_better() -> None:
+    found = ArmPredictor(MODEL, unwanted, 0.4)
+    found.refuse("its angles are no numbers")
+    assert not found.is_made_up
+    found.take_joints(OTHERS)
+    assert found.refused == "its angles are no numbers"
+    with pytest.raises(ArmError, match="its angles are no numbers"):
+        found.ahead(NOW, NOW)
+    found.take_joints(joints(READY, TURNING, 0))
+    assert found.refused is None
+    np.testing.assert_allclose(pose_at(found, 0), READY)
+    pathed = ArmPredictor(MODEL, unwanted, 0.4)
+    pathed.refuse("its angles are no numbers")
+    pathed.take_path(planned())
+    assert pathed.refused is None and not pathed.is_made_up
+
+
+def test_an_arm_that_is_to_stay_where_it_is_is_judged_by_its_joints_alone() -> None:
+    nowhere = ArmPredictor(MODEL, unwanted, 0.4)
+    nowhere.leave_path()
+    with pytest.raises(ArmError, match="to stay where it is, and nobody has told where"):
+        nowhere.ahead(NOW, NOW)
+    found = predictor(planned())
+    found.leave_path()
+    assert found.refused is None
+    with pytest.raises(ArmError, match="trajectory is over, and no joints come"):
+        found.ahead(NOW, NOW)
+    found.take_joints(joints(READY + TURNING, 0 * TURNING, 0))
+    np.testing.assert_allclose(pose_at(found, 200), READY + TURNING)
+    found.take_path(planned(begins_ms=100))
+    found.take_joints(joints(READY, TURNING, 100))
+    np.testing.assert_allclose(pose_at(found, 300), READY + 0.2 * TURNING)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, 80.0, np.nan])
