@@ -64,13 +64,15 @@ def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_aga
     gaussians.alive[:3] = True
     gaussians.nodes[:] = torch.tensor([0, 0, 1, 0])  # the last one is dead
     gaussians.values[:, QUAT] = torch.tensor([1.0, 0.0, 0.0, 0.0])
-    resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
-    assert not nodes.free
+    backgrounds = Backgrounds(None, shell_around(CAMERAS, 2.5))
+    resting = Resting(gaussians, nodes, backgrounds)
+    assert not nodes.free and not backgrounds.are_outdated
     [decision] = resting.settle({0: told(RESTS), 1: told(0.1 * RESTS)}, 1.1)
     assert (decision.kind, decision.node, decision.grounds) == (Kind.SETTLED, settled, told(RESTS))
     assert [gaussians.rested[row] == settled for row in range(4)] == [True, True, False, False]
     assert gaussians.nodes[:3].tolist() == [-1, -1, 1]
     assert nodes.free
+    assert backgrounds.are_outdated, "the next set is compared with what stands by then"
 
 
 def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_something_moves_for_long() -> None:
@@ -177,8 +179,12 @@ def test_what_is_laid_down_stands_for_the_node_that_carried_it_and_for_none_wher
     gaussians.alive[:] = True
     gaussians.tiers[:], gaussians.nodes[:] = int(Tier.RIGID), torch.tensor([0, 0, 1, -1, 1])
     gaussians.values[:, QUAT] = torch.tensor([1.0, 0.0, 0.0, 0.0])
-    resting = Resting(gaussians, nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    backgrounds = Backgrounds(None, shell_around(CAMERAS, 2.5))
+    resting = Resting(gaussians, nodes, backgrounds)
+    resting.lay(torch.tensor([], dtype=torch.int64))
+    assert not backgrounds.are_behind
     resting.lay(torch.tensor([0, 2, 3]))
+    assert backgrounds.are_behind
     assert [gaussians.tiers[row] == Tier.STATIC for row in range(5)] == [True, False, True, True, False]
     assert gaussians.nodes.tolist() == [-1, 0, -1, -1, 1]
     assert gaussians.rested.tolist() == [nodes.ids[0], -1, nodes.ids[1], -1, -1]

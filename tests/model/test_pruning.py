@@ -17,6 +17,7 @@ from twin_node.model.plane import Plane
 from twin_node.model.pruning import (
     EVERY_SETS,
     LEAST_MOVING_PX,
+    LEAST_PX,
     MOVING_EVERY_S,
     MOVING_ROUNDS,
     ROUNDS,
@@ -131,6 +132,44 @@ def test_what_stands_leaves_room_for_what_moves() -> None:
     for _ in range(EVERY_SETS * len(CAMERAS)):
         watched.watch(CAMERAS)
     assert len(held) > most - 100, "no more of them than that"
+
+
+def test_what_the_arm_is_made_of_takes_room_from_what_stands() -> None:
+    held, arms = store(with_hidden(30)), slice(len(table().scales), len(table().scales) + 30)
+    held.tiers[arms] = int(Tier.ROBOT)
+    watched = pruner(held, len(table().scales))
+    for _ in range(EVERY_SETS * len(CAMERAS)):
+        watched.watch(CAMERAS)
+    assert len(held.static_rows) == len(table().scales) - 30
+    assert bool(held.alive[arms].all())
+
+
+@pytest.mark.parametrize(("hidden", "spare"), [(0, 0), (40, 0), (0, 30)])
+def test_what_stands_is_drawn_anew_where_something_of_it_went_and_only_there(hidden: int, spare: int) -> None:
+    splats = with_hidden(hidden)
+    shown = torch.stack([blend_weights(splats, camera) for camera in CAMERAS]).amax(0) >= 2 * LEAST_PX
+    shown[len(table().scales) :] = True  # what is hidden stays in, all else shows
+    held = store(chosen(splats, shown))
+    backgrounds = Backgrounds(Plane(np.array([0.0, 0.0, 1.0]), 0.0), shell_around(CAMERAS, 2.5))
+    backgrounds.of(held, CAMERAS)
+    watched, count = Pruner(held, backgrounds, len(held) - spare), len(held)
+    for _ in range(WHOLE):
+        assert not backgrounds.are_behind
+        watched.watch(CAMERAS)
+        if len(held) < count:
+            break
+    assert backgrounds.are_behind == (len(held) < count) == (hidden + spare > 0)
+
+
+def chosen(splats: Splats, which: torch.Tensor) -> Splats:
+    """Some of the Gaussians."""
+    return Splats(
+        splats.means[:, which],
+        splats.quats[:, which],
+        splats.scales[which],
+        splats.opacities[which],
+        splats.rgb[which],
+    )
 
 
 def test_what_was_born_within_a_round_is_not_judged_by_it() -> None:

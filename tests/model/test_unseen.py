@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
 import torch
 from model_scenes import rig
 
+from twin_node.model import unseen as unseen_module
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.nodes import Nodes
 from twin_node.model.past import Past
 from twin_node.model.unseen import Unseen
-from twin_node.scene import Tier
+from twin_node.scene import Camera, Tier
 
 CAMERA = rig()[:1]
 ROWS = torch.arange(5)
@@ -40,6 +44,28 @@ def test_what_showed_in_the_round_before_and_does_not_now_is_named() -> None:
 def test_a_hidden_part_counts_where_its_body_shows_or_it_has_none() -> None:
     unseen = Unseen(five(), 0.1, 1)
     assert named(unseen, [0.0, 0.0, 0.0, 0.0, 1.0], [-1, 0, 5, 6, 6]) == [0, 3]
+
+
+def test_a_round_waits_for_a_camera_that_was_there_of_late_though_another_has_left_for_good(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(unseen_module, "AWAY_SETS", 3)
+    there, other, late = rig()
+    left = replace(late, name="left")
+    unseen, shown = Unseen(five(), 0.1, 1), torch.ones(5)
+
+    def next_of(*cameras: Camera) -> str | None:
+        unseen.know(cameras)
+        index = unseen.due(cameras)
+        if index is None:
+            return None
+        unseen.take(cameras[index], ROWS, shown)
+        return cameras[index].name
+
+    assert next_of(there, other, late, left) == there.name
+    assert next_of(other, late) == other.name
+    assert [next_of(there) for _ in range(4)] == [None] * 4, "one has left for good by now, the other may come back"
+    assert [next_of(there) for _ in range(2)] == [there.name] * 2, "that one has left too, and the next round begins"
 
 
 def test_a_set_of_the_same_stamp_takes_no_further_place_in_the_past() -> None:
