@@ -272,6 +272,29 @@ def test_an_arm_for_which_no_cycle_can_be_made_up_stands_until_it_tells_of_itsel
     np.testing.assert_allclose(pose_at(found, 0), READY)
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "has_velocities", "told"),
+    [
+        (0.0, 0.0, True, 1.0),
+        (0.7, 0.0, True, 0.0),
+        (0.7, 0.0, False, 1.0),
+        (0.0, 0.7, False, 1.0),
+        (0.0, 0.7, True, 0.7),
+    ],
+    ids=["only zeros", "measured to stand", "no more of them", "none", "the first of them"],
+)
+def test_velocities_are_those_of_the_way_where_none_are_measured_or_all_that_came_were_zeros(
+    first: float, second: float, has_velocities: bool, told: float
+) -> None:
+    """It has gone 0.1 rad in 0.1 s."""
+    found = ArmPredictor(MODEL, unwanted, 0.4)
+    found.take_joints(joints(READY, first * TURNING, 0))
+    found.take_joints(joints(READY + 0.1 * TURNING, second * TURNING, 100), has_velocities)
+    measured = found.joints(NOW + 100 * MS)
+    assert measured is not None
+    np.testing.assert_allclose(measured.velocities, told * TURNING, atol=1e-9)
+
+
 OTHERS = JointSample(NOW, tuple(f"other_{name}" for name in MODEL.joint_names), READY, 0 * TURNING)
 
 

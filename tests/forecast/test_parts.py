@@ -28,13 +28,15 @@ def test_parts_are_eight_centimetres_wide_or_as_near_to_it_as_voxels_allow(voxel
     assert split(grid, row, np.ones(16, np.bool_)).labels.tolist() == [x // side for x in range(16)]
 
 
-def test_the_cell_of_a_part_holds_its_voxels_and_those_of_no_other() -> None:
+def test_the_cell_of_a_part_holds_its_voxels_and_those_of_no_other_and_its_middle_is_theirs() -> None:
     parts = parts_of()
     first, last = parts.cells(GRID)
     within = (parts.places.T[:, None] >= first).all(axis=2) & (parts.places.T[:, None] <= last).all(axis=2)
     assert parts.count > 5
     assert np.array_equal(within, parts.labels[:, None] == np.arange(parts.count))
     assert (last - first == 3).all()
+    for part, middle in enumerate(parts.centers):
+        assert middle == pytest.approx(GRID.centers(parts.indices[parts.labels == part]).mean(axis=0))
 
 
 def test_some_of_the_parts_are_the_parts_of_their_voxels() -> None:
