@@ -290,17 +290,20 @@ def test_what_is_told_of_who_was_seen_bounds_no_forecast(ur5e_checker: ArmCollis
     assert decided_since(ur5e_checker, replace(short, reach=(0.01, 0.0))) == expected
 
 
-@pytest.mark.parametrize("degrees", [60, 80, 90, 110])
+@pytest.mark.parametrize(
+    ("speed", "reaction_s", "degrees"),
+    [*((3.0, REACTION_S, degrees) for degrees in (60, 80, 90, 110)), (1.5, 0.3, 60), (1.5, 0.5, 60), (1.5, 0.5, 80)],
+)
 def test_a_way_to_standstill_that_is_longer_than_the_path_is_gone_to_its_end(
-    ur5e_checker: ArmCollisionChecker, degrees: int
+    ur5e_checker: ArmCollisionChecker, speed: float, reaction_s: float, degrees: int
 ) -> None:
     """A ball abreast of a turning arm is approached the faster the nearer it is: a servoed arm went on into it, for the
-    speed of the first 200 ms counted for all of its way of 0.5 s."""
-    plan, late = 3 * TURNING, servo_stopping(ur5e_checker.model, stopping_table("ur5e"), 0.2)
+    speed of the first 200 ms counted for all of its way of 0.5 s. Its way until it reacts is a part of that."""
+    plan, late = speed * TURNING, servo_stopping(ur5e_checker.model, stopping_table("ur5e"), 0.2)
     tool = forward_kinematics(ur5e_checker.model, READY + np.deg2rad(degrees) * TURNING)[-1, :3, 3]
     ur5e_checker.update(obstacles(Thing(tuple(tool), size=(0.1,) * 3, kind=ObstacleKind.STATIC, valid_ms=(0, 10_000))))
-    share = decide(ur5e_checker, ahead(plan), NOW, REACTION_S, table=late).speed_fraction
-    course = ArmMotion(NOW, REACTION_S, plan, late).course(share)
+    share = decide(ur5e_checker, ahead(plan), NOW, reaction_s, table=late).speed_fraction
+    course = ArmMotion(NOW, reaction_s, plan, late).course(share)
     way_s = np.linspace(0, course.steady_s + course.braking_s, 30)
     nearest = ur5e_checker.check(READY + way_s[:, None] * plan, np.full(30, NOW))
     assert 0.0 < share <= 1.0
