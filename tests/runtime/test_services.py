@@ -124,6 +124,34 @@ def test_what_is_no_request_is_not_answered(zenoh_router: ZenohParameters, wire:
         assert len(ask(whole, who)) == 1
 
 
+def test_a_service_that_fails_leaves_the_others_at_work(
+    wire: ZenohWire, client: ServiceClient, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Any, reply: Reply) -> None:
+        raise ZeroDivisionError("a bug")
+
+    wire.serve("arm", "/arm/get_state", STATE, fail)
+    wire.serve("twin", "/twin/get_state", STATE, saying("active"))
+    assert soon(lambda: client.ask("/twin/get_state", STATE)) is not None
+    assert client.ask("/arm/get_state", STATE, LONG_S) is None, "and who asked does not wait for nothing"
+    assert client.ask("/twin/get_state", STATE) is not None
+    assert "ZeroDivisionError: a bug" in capsys.readouterr().err
+
+
+def test_an_answer_that_nobody_waits_for_any_more_troubles_nobody(
+    zenoh_router: ZenohParameters, client: ServiceClient
+) -> None:
+    waiting: list[Reply] = []
+    wire = ZenohWire(zenoh_router)
+    wire.serve("twin", "/twin/get_state", STATE, lambda _, reply: waiting.append(reply))
+    assert soon(lambda: client.ask("/twin/get_state", STATE, 0.2) or waiting)
+    waiting[0](state("late"))
+    assert client.ask("/twin/get_state", STATE, 0.2) is None
+    wire.close()
+    waiting[1](state("too late"))
+    waiting[1](state("twice"))
+
+
 def test_services_are_announced_with_their_node(zenoh_router: ZenohParameters, wire: ZenohWire) -> None:
     wire.serve("twin", "/twin/get_state", STATE, saying("active"))
     with contextlib.closing(ZenohWire(zenoh_router)) as other:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeAlias
 
 from twin_node.messages import Message, MessageError
@@ -51,10 +53,15 @@ class ServiceDesk:
 
     def _work(self) -> None:
         while (do := self._waiting.get()) is not None:
-            do()
+            try:
+                do()
+            except Exception:  # of one request: who asks next is answered, and the process's log holds the trace
+                traceback.print_exc()
 
 
 def _answer(query: Any, key: str, service: ServiceType, answer: Answer) -> None:
+    import zenoh
+
     asked = unpack_attachment(query.attachment.to_bytes()) if query.attachment is not None else None
     payload = query.payload.to_bytes() if query.payload is not None else b""
     try:
@@ -67,10 +74,15 @@ def _answer(query: Any, key: str, service: ServiceType, answer: Answer) -> None:
 
     def reply(response: Message) -> None:
         attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).pack()
-        query.reply(key, bytes(service.types.serialize(response)), attachment=attachment)
-        query.drop()  # nothing more comes: who asks need not wait
+        with suppress(zenoh.ZError):  # the session has ended, and with it whoever waited
+            query.reply(key, bytes(service.types.serialize(response)), attachment=attachment)
+            query.drop()  # nothing more comes: who asks need not wait
 
-    answer(request, reply)
+    try:
+        answer(request, reply)
+    except BaseException:
+        query.drop()
+        raise
 
 
 class ServiceClient:
