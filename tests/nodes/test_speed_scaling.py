@@ -212,7 +212,7 @@ def test_a_controller_is_named_with_its_namespace(name: str, topic: str) -> None
     [
         ({"controller": ""}, "controller: expected a name such as joint_trajectory_controller, found ''"),
         ({"controller": "my arm"}, "controller: expected a name such as joint_trajectory_controller, found 'my arm'"),
-        ({"rate_hz": 0.0}, "speed_scaling: rate_hz"),
+        ({"rate_hz": 0.0}, "rate_hz: expected 1 to 1000, found 0"),
     ],
 )
 def test_wrong_parameters_are_named(parameters: dict[str, Any], told: str) -> None:

@@ -52,7 +52,7 @@ class SpeedScalingParameters:
     """How often the controller is told while its speed changes."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, TwinError, "speed_scaling: ", rate_hz=Range(1, 1000))
+        check_ranges(self, TwinError, "", rate_hz=Range(1, 1000))
         if not is_topic_name(self.topic):
             raise TwinError(
                 f"controller: expected a name such as joint_trajectory_controller, found {self.controller!r}; "
