@@ -163,3 +163,12 @@ def test_a_transition_that_fails_is_an_error(node: Obedient, capsys: pytest.Capt
     node.refuses = True
     [line] = printed(capsys, "lifecycle", "set", "twin", "deactivate", status=2)
     assert line == "twin_node: error: /twin could not deactivate; its log and 'twin_node doctor' say why"
+
+
+def test_without_a_graph_nobody_can_be_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nowhere = ZenohParameters(endpoint=free_endpoint())
+    monkeypatch.setattr(asking, "ZenohParameters", lambda: nowhere)
+    [line] = printed(capsys, "lifecycle", "get", status=2)
+    assert line.startswith(f"twin_node: error: expected a graph at {nowhere.endpoint}, found none there: start it")

@@ -89,7 +89,7 @@ class ServiceClient:
     """Asks nodes of the graph, other programs' too; for as long as it is open."""
 
     def __init__(self, parameters: ZenohParameters) -> None:
-        """Raises `WireError` where no router answers, or zenoh is not installed."""
+        """Raises `NoRouterError` where no router answers, `WireError` where zenoh is not installed."""
         self._parameters = parameters
         self._session = open_client(parameters)
         self._asked = 0

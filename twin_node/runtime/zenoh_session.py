@@ -38,6 +38,10 @@ class WireError(TwinError):
     """The zenoh network cannot be opened, or is not configured as it must be."""
 
 
+class NoRouterError(WireError):
+    """No zenoh router answers where one is looked for."""
+
+
 @dataclass(frozen=True)
 class ZenohParameters:
     """How the graph reaches other processes."""
@@ -90,8 +94,8 @@ def open_session(parameters: ZenohParameters) -> Any:
 def open_client(parameters: ZenohParameters) -> Any:
     """A session that speaks to the router alone, and is told at once all that the router knows.
 
-    A peer misses some of that while it and others find each other. Raises `WireError` as `open_session`, and where no
-    router answers.
+    A peer misses some of that while it and others find each other. Raises `WireError` as `open_session`, and
+    `NoRouterError` where no router answers.
     """
     config = _given_session_config(parameters)
     config.insert_json5("mode", json.dumps("client"))
@@ -102,7 +106,7 @@ def open_client(parameters: ZenohParameters) -> Any:
     except _zenoh().ZError as error:
         reason = f" ({_one_line(error)})"
     if session is None or not session.info.routers_zid():
-        raise WireError(
+        raise NoRouterError(
             f"{parameters.endpoint}: expected a zenoh router there, or a place where one can be started, found "
             f"neither{reason}: what listens is no zenoh router, or the address is wrong; end it, or correct the "
             "address (launch: zenoh: {endpoint})"

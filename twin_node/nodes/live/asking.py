@@ -17,7 +17,7 @@ from twin_node.nodes.topics import GraphError
 from twin_node.runtime.parameter_services import SEPARATOR, USE_SIM_TIME, ParameterType, value_of
 from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.runtime.services import PATIENCE_S, ServiceClient
-from twin_node.runtime.zenoh_session import ZenohParameters
+from twin_node.runtime.zenoh_session import NoRouterError, ZenohParameters
 
 CHANGES_S = 120.0
 """How long a node may take for a transition, s: a first set of images may have to wait for kernels to be compiled."""
@@ -41,8 +41,15 @@ class Asking:
     """The nodes of the graph, for as long as this is open."""
 
     def __init__(self, parameters: ZenohParameters | None = None) -> None:
-        """Raises `WireError` where no router answers."""
-        self._client = ServiceClient(parameters or ZenohParameters())
+        """Raises `GraphError` where there is none, `WireError` where zenoh is not installed."""
+        parameters = parameters or ZenohParameters()
+        try:
+            self._client = ServiceClient(parameters)
+        except NoRouterError:
+            raise GraphError(
+                f"expected a graph at {parameters.endpoint}, found none there: start it ('twin_node launch'), or name "
+                "the router of another machine's in ZENOH_SESSION_CONFIG_URI"
+            ) from None
 
     def __enter__(self) -> Self:
         return self
