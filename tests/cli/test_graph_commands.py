@@ -18,7 +18,8 @@ from twin_node.nodes.live.asking import as_file
 from twin_node.nodes.topics import GraphError, kind_of_own
 from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
 from twin_node.runtime.node import LifecycleState
-from twin_node.runtime.parameter_services import parameters_of, serve_parameters
+from twin_node.runtime.parameter_services import serve_parameters
+from twin_node.runtime.parameter_values import parameters_of
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 from twin_node.yaml_file import parse_yaml, yaml_text

@@ -13,7 +13,8 @@ import pytest
 
 from twin_node.messages import Message, message_type
 from twin_node.messages.services import ServiceType
-from twin_node.runtime.parameter_services import Parameter, ParameterType, parameters_of, serve_parameters, value_of
+from twin_node.runtime.parameter_services import serve_parameters
+from twin_node.runtime.parameter_values import Parameter, ParameterType, parameters_of, value_of
 from twin_node.runtime.services import Answer
 from twin_node.runtime.wire import Cancel, LocalWire
 

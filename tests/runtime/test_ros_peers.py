@@ -19,7 +19,8 @@ import pytest
 from twin_node.messages import definition, header, message_type, serialize, to_duration, type_hash
 from twin_node.messages.services import service_type
 from twin_node.runtime.executor import Executor
-from twin_node.runtime.parameter_services import parameters_of, serve_parameters
+from twin_node.runtime.parameter_services import serve_parameters
+from twin_node.runtime.parameter_values import parameters_of
 from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
 from twin_node.runtime.services import ServiceClient
 from twin_node.runtime.wire_bus import WireBus

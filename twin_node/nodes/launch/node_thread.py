@@ -21,7 +21,8 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
 from twin_node.runtime.node import LifecycleState, Node
-from twin_node.runtime.parameter_services import Parameter, serve_parameters
+from twin_node.runtime.parameter_services import serve_parameters
+from twin_node.runtime.parameter_values import Parameter
 from twin_node.runtime.parameters import fill
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus

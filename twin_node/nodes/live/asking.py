@@ -14,7 +14,7 @@ from twin_node.messages.services import service_type
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, nearest
 from twin_node.nodes.sizes import SIZES
 from twin_node.nodes.topics import GraphError
-from twin_node.runtime.parameter_services import SEPARATOR, USE_SIM_TIME, ParameterType, value_of
+from twin_node.runtime.parameter_values import SEPARATOR, USE_SIM_TIME, ParameterType, value_of
 from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.runtime.services import PATIENCE_S, ServiceClient
 from twin_node.runtime.zenoh_session import NoRouterError, ZenohParameters

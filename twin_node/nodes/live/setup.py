@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
-from twin_node.runtime.parameter_services import USE_SIM_TIME, Parameter, ParameterType, parameters_of
+from twin_node.runtime.parameter_values import USE_SIM_TIME, Parameter, ParameterType, parameters_of
 from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
