@@ -129,6 +129,14 @@ MISTAKES = {
         lambda d, c: c.update(distortion={"model": "fisheye", "coefficients": [0]}),
         r"left.*distortion\.model: expected one of plumb_bob, rational_polynomial, equidistant, found 'fisheye'",
     ),
+    "distortion without end": (
+        lambda d, c: c.update(distortion={"model": "equidistant", "coefficients": [0.1, 1e300, 0, 0]}),
+        r"left.*coefficients: expected numbers up to 100000, found \[0\.1, 1e\+300, 0\.0, 0\.0\]: no lens has such",
+    ),
+    "truth among numbers": (
+        lambda d, c: c.update(K=[[300, 0, 160], [0, 300, 120], [False, 0, True]]),
+        r"left.*K: expected 3x3 numbers, found true or false among them",
+    ),
     "distortion length": (
         lambda d, c: c.update(distortion={"model": "equidistant", "coefficients": [0] * 5}),
         r"left.*coefficients: expected 4 numbers for equidistant, found 5",

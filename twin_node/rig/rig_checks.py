@@ -22,6 +22,9 @@ MOST_PX = 32_767
 MOST_SKEW_PX = 0.5
 """Skew that moves no pixel by more than half of one is left out in silence."""
 
+MOST_DISTORTION = 1e5
+"""Largest distortion coefficient: those of rational models, above and below the line, may be large together."""
+
 FOCALS = Range(0.02, 1000.0)
 """Focal lengths that a lens may have, in longer sides of its images: views from 176 degrees to a twentieth of one."""
 
@@ -124,7 +127,7 @@ def whole_coefficients(model: str, D: Float) -> Float:
 
 
 def check_distortion(where: str, model: str, coefficients: Float) -> None:
-    """Raises `RigError` for an unknown model or a wrong number of coefficients."""
+    """Raises `RigError` for an unknown model, and for coefficients of a wrong number or beyond any lens's."""
     if model not in DISTORTION_LENGTHS:
         raise RigError(f"{where}.distortion.model: expected one of {', '.join(DISTORTION_LENGTHS)}, found {model!r}")
     lengths = DISTORTION_LENGTHS[model]
@@ -132,6 +135,11 @@ def check_distortion(where: str, model: str, coefficients: Float) -> None:
         expected = " or ".join(map(str, lengths))
         raise RigError(
             f"{where}.distortion.coefficients: expected {expected} numbers for {model}, found {len(coefficients)}"
+        )
+    if (np.abs(coefficients) > MOST_DISTORTION).any():
+        raise RigError(
+            f"{where}.distortion.coefficients: expected numbers up to {MOST_DISTORTION:g}, found {_text(coefficients)}: "
+            "no lens has such; is one of another unit, or a file cut short?"
         )
 
 

@@ -94,6 +94,8 @@ class Fields:
             array = np.array(value, dtype=np.float64)
         except (ValueError, TypeError, OverflowError) as error:
             raise RigError(f"{self.where}.{key}: expected {expected}, found {repeated(value)}") from error
+        if any(isinstance(one, bool) for one in np.array(value, dtype=object).flat):
+            raise RigError(f"{self.where}.{key}: expected {expected}, found true or false among them")
         if array.ndim != 1 if shape is None else array.shape != shape:
             found = "x".join(map(str, array.shape)) or "one number"
             raise RigError(f"{self.where}.{key}: expected {expected}, found {found}")
