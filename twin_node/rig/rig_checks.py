@@ -138,8 +138,8 @@ def check_distortion(where: str, model: str, coefficients: Float) -> None:
         )
     if (np.abs(coefficients) > MOST_DISTORTION).any():
         raise RigError(
-            f"{where}.distortion.coefficients: expected numbers up to {MOST_DISTORTION:g}, found {_text(coefficients)}: "
-            "no lens has such; is one of another unit, or a file cut short?"
+            f"{where}.distortion.coefficients: expected numbers up to {MOST_DISTORTION:g}, found "
+            f"{_text(coefficients)}: no lens has such; calibrate it anew"
         )
 
 
