@@ -100,7 +100,7 @@ def test_what_the_truth_forgets_later_counts_all_the_same() -> None:
     growth, period = PersistenceGrowth(GRID, truth), 100_000_000
     for number in range(400):
         place = voxels((min(2 * number, 400) % 20, 5, 5))
-        truth.observe(number * period, middles(place), 0.1)
+        truth.remember(number * period, middles(place), 0.1)
         growth.settle(number * period)
         growth.add(place, 0, (number + 1) * period)
     told = growth.grown_to(0.4)

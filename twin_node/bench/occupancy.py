@@ -18,14 +18,12 @@ from twin_node.bench.space import SpaceScore, SpaceTally
 from twin_node.bench.truth import ColourOf, Markers, PixelTruth
 from twin_node.forecast import BaselineForecaster, Forecaster, default_grid
 from twin_node.forecast.comparison import Comparison, Score, Truth
-from twin_node.forecast.score import litres_per_voxel
 from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.nodes.truth import LaterTruth, VoxelTruth
-from twin_node.scene import HORIZONS_NS, Bool, Float64, FrameSet, Grid, Occupancy, TwinState
+from twin_node.nodes.truth import truth_of
+from twin_node.scene import HORIZONS_NS, Bool, FrameSet, Grid, Occupancy, TwinState
 
 
 @dataclass(frozen=True)
@@ -174,8 +172,7 @@ def score_states(
         ours = forecaster.update(state, publish).occupancy
         spent.append(time.perf_counter() - started)
         others = baselines.update(state, publish)
-        if isinstance(truth, LaterTruth):
-            _observe(truth, state, grid, others.persistence.layers[0].indices.astype(np.int64))
+        truth.observe(state, others.persistence)
         sets += 1
         is_warm = state.stamp - begin >= parameters.warm_up_s * 1e9
         forecasts = {OURS: ours, **vars(others)} if is_warm else {}
@@ -198,21 +195,12 @@ def score_states(
     )
 
 
-def _observe(truth: LaterTruth, state: TwinState, grid: Grid, indices: np.ndarray) -> None:
-    points: Float64 = grid.centers(indices)
-    truth.observe(state.stamp, points, len(indices) * litres_per_voxel(grid))
-    for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
-        truth.observe_mask(view, mask)
-
-
 def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None) -> Truth:
     if markers is not None:
         return Markers(markers, session.span.start_ns)
     if colour is not None:
         return PixelTruth(colour)
-    if any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics):
-        return VoxelTruth(session.log)
-    return LaterTruth()
+    return truth_of(session.log)
 
 
 def _states(

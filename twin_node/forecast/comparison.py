@@ -42,6 +42,9 @@ class Truth:
         """[H, W] pixels of the moving things in a view; None where unknown."""
         return None
 
+    def observe(self, state: TwinState, seen: Occupancy) -> None:
+        """Takes in a state, and in the first layer of `seen` what it showed to move: for who knows nothing better."""
+
 
 @dataclass(frozen=True)
 class Score:

@@ -9,12 +9,22 @@ from twin_node.forecast.comparison import Truth
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.messages import convert
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.scene import Bool, Float64, View
+from twin_node.scene import Bool, Float64, Occupancy, TwinState, View
 
 STALE_NS = 26_000_000
 """Truth further than this from the time asked for is none: half a period at 20 Hz."""
 OBSERVED_NS = 51_000_000
 """What the twin itself saw is taken for times this far from it: half a period where it keeps up at 10 Hz only."""
+
+
+def has_exact_truth(log: LogReader) -> bool:
+    """Whether a log carries its exact moving voxels."""
+    return any(topic.name == TRUTH_OCCUPANCY for topic in log.topics)
+
+
+def truth_of(log: LogReader) -> Truth:
+    """The best truth that a log by itself leads to."""
+    return VoxelTruth(log) if has_exact_truth(log) else LaterTruth()
 
 
 class _Sampled(Truth):
@@ -28,11 +38,16 @@ class _Sampled(Truth):
         self._points: list[Float64] = []
         self._volumes: list[float] = []
 
-    def observe(self, stamp: int, points: Float64, volume_l: float) -> None:
-        """Remembers what moves at a stamp, ns: points [n, 3] in m."""
+    def remember(self, stamp: int, points: Float64, volume_l: float) -> None:
+        """Takes in what moves at a stamp, ns: points [n, 3] in m."""
         self._stamps.append(stamp)
         self._points.append(points)
         self._volumes.append(volume_l)
+
+    def remember_layer(self, stamp: int, occupancy: Occupancy) -> None:
+        """Takes in that the first layer moves at a stamp, ns."""
+        points = occupancy.grid.centers(occupancy.layers[0].indices)
+        self.remember(stamp, points, len(points) * litres_per_voxel(occupancy.grid))
 
     def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the moving voxels nearest in time, m, whatever had been seen of them."""
@@ -61,8 +76,7 @@ class VoxelTruth(_Sampled):
         super().__init__()
         for message in log.messages([TRUTH_OCCUPANCY]):
             occupancy = convert.occupancy_from_message(message.message)
-            points = occupancy.grid.centers(occupancy.layers[0].indices)
-            self.observe(occupancy.stamp, points, len(points) * litres_per_voxel(occupancy.grid))
+            self.remember_layer(occupancy.stamp, occupancy)
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same: all that moves."""
@@ -79,16 +93,18 @@ class LaterTruth(_Sampled):
         super().__init__()
         self._masks: dict[tuple[str, int], Bool] = {}
 
-    def observe(self, stamp: int, points: Float64, volume_l: float) -> None:
-        """Remembers what was seen to move at a stamp; 64 observations are kept."""
-        super().observe(stamp, points, volume_l)
-        del self._stamps[:-64], self._points[:-64], self._volumes[:-64]
-
-    def observe_mask(self, view: View, mask: Bool) -> None:
-        """Remembers the moving mask of a view; those of the last 64 views are kept."""
-        self._masks[view.camera.name, view.stamp] = mask
+    def observe(self, state: TwinState, seen: Occupancy) -> None:
+        """Takes in what was seen to move, and the moving masks of the views; of either the last 64 are kept."""
+        self.remember_layer(state.stamp, seen)
+        for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
+            self._masks[view.camera.name, view.stamp] = mask
         while len(self._masks) > 64:
             del self._masks[next(iter(self._masks))]
+
+    def remember(self, stamp: int, points: Float64, volume_l: float) -> None:
+        """Takes in what was seen to move at a stamp, ns; the last 64 are kept."""
+        super().remember(stamp, points, volume_l)
+        del self._stamps[:-64], self._points[:-64], self._volumes[:-64]
 
     def pixels(self, view: View) -> Bool | None:
         """[H, W] the moving mask of the view."""

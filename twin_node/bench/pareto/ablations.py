@@ -20,8 +20,7 @@ from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.report.quality import clouds_against_images, score
-from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.nodes.truth import LaterTruth, VoxelTruth
+from twin_node.nodes.truth import truth_of
 from twin_node.scene import Tier
 
 NEVER = 1_000_000
@@ -174,11 +173,9 @@ def _follow(job: _Job) -> Ablated:
     chain = ABLATIONS[job.name](load_parameters(parameters.params))
     arm = None if job.name == SELF_FILTER else chain.arm.arm()
     with LogSession(job.log, start_offset_s=parameters.start_offset_s) as session:
-        has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics)
-        truth: VoxelTruth | LaterTruth = VoxelTruth(session.log) if has_exact else LaterTruth()
         names = chain.arm.arm().joint_names
         source = LogSource(session, replace(chain.synchronizer, width=parameters.width), names)
-        follower = Follower(chain, arm, source.workspace, truth)
+        follower = Follower(chain, arm, source.workspace, truth_of(session.log))
         ticks = follower.follow(islice(once_lit(source), parameters.frames))
         quality = score(clouds_against_images(ticks, lambda camera: follower.model.render_frozen(camera).rgb))
     sets = len(follower.laps.model)

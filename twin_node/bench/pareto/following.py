@@ -10,13 +10,11 @@ import numpy as np
 
 from twin_node.bench.contenders import OURS
 from twin_node.forecast import BaselineForecaster, Forecaster, ForecastQuality, default_grid
-from twin_node.forecast.comparison import Comparison, Score
-from twin_node.forecast.score import litres_per_voxel
+from twin_node.forecast.comparison import Comparison, Score, Truth
 from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS
 from twin_node.nodes.spool import Tick
-from twin_node.nodes.truth import LaterTruth, VoxelTruth
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, FrameSet, Tier, TwinState
 
@@ -43,9 +41,7 @@ class Laps:
 class Follower:
     """One model and one forecaster on one grid."""
 
-    def __init__(
-        self, chain: ChainParameters, arm: ArmModel | None, workspace: Float64, truth: VoxelTruth | LaterTruth
-    ) -> None:
+    def __init__(self, chain: ChainParameters, arm: ArmModel | None, workspace: Float64, truth: Truth) -> None:
         """`workspace` [2, 3] m; `arm` None: its own space is not left out."""
         grid = default_grid(workspace, chain.grid.voxel_size)
         self.model = WindowModel(chain.model, arm=arm)
@@ -91,9 +87,7 @@ class Follower:
         times.append(time.process_time())
         self.laps.forecast.append(1e3 * (times[1] - times[0]))
         self.laps.baselines.append(1e3 * (times[2] - times[1]))
-        if isinstance(self._truth, LaterTruth):
-            seen = others.persistence.layers[0].indices.astype(np.int64)
-            self._truth.observe(state.stamp, ours.grid.centers(seen), len(seen) * litres_per_voxel(ours.grid))
+        self._truth.observe(state, others.persistence)
         self._comparison.add(state, {OURS: ours, **vars(others)} if is_warm else {})
 
 

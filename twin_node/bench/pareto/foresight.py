@@ -16,8 +16,7 @@ from twin_node.model.first_light import once_lit
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.sizes import SIZES
-from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.nodes.truth import VoxelTruth
+from twin_node.nodes.truth import VoxelTruth, has_exact_truth
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class ForesightPoint:
 def has_truth(log: Path) -> bool:
     """Whether a log carries the exact occupancy."""
     with LogSession(log) as session:
-        return any(topic.name == TRUTH_OCCUPANCY for topic in session.log.topics)
+        return has_exact_truth(session.log)
 
 
 def foresee(job: ForesightJob) -> list[ForesightPoint]:

@@ -12,12 +12,11 @@ import numpy as np
 from twin_node.bag import LogReader
 from twin_node.forecast import BaselineForecaster
 from twin_node.forecast.comparison import Comparison, Score
-from twin_node.forecast.score import contains, litres_per_voxel
+from twin_node.forecast.score import contains
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.spool import Tick
-from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.nodes.truth import OBSERVED_NS, LaterTruth, VoxelTruth
-from twin_node.scene import HORIZONS_NS, Grid, Occupancy, TwinState, UInt32
+from twin_node.nodes.truth import OBSERVED_NS, truth_of
+from twin_node.scene import HORIZONS_NS, Grid, Occupancy, UInt32
 from twin_node.thinning import thinned
 
 OURS = "ours"
@@ -57,8 +56,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
     The truth is the log's exact occupancy where it has one, else what the twin saw to move when the time had come. The
     baselines, and what the twin saw, rest on the parameters and the arm of the `chain` that made the forecasts.
     """
-    has_exact = any(topic.name == TRUTH_OCCUPANCY for topic in log.topics)
-    truth = VoxelTruth(log) if has_exact else LaterTruth()
+    truth = truth_of(log)
     comparison = Comparison(truth, "persistence")
     baselines: BaselineForecaster | None = None
     due: deque[Occupancy] = deque()
@@ -72,8 +70,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
             baselines = BaselineForecaster(ours.grid, chain.forecast.carving, chain.forecast.static, chain.arm.arm())
         others = baselines.update(tick.state, ours.publish_stamp)
         seen = others.persistence.layers[0].indices
-        if isinstance(truth, LaterTruth):
-            _observe(truth, tick.state, ours.grid, seen)
+        truth.observe(tick.state, others.persistence)
         comparison.add(tick.state, {OURS: ours, **vars(others)})
         foreseen = _come_due(due, tick.stamp)
         if foreseen is not None and len(seen):
@@ -82,12 +79,6 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
             shown.append(ForecastExample(tick, ours.grid, foreseen.layers[-1].indices, seen))
         due.append(ours)
     return Foresight(comparison.scores(), truth.source, tuple(thinned(shown, examples)), tuple(recalls))
-
-
-def _observe(truth: LaterTruth, state: TwinState, grid: Grid, seen: UInt32) -> None:
-    truth.observe(state.stamp, grid.centers(seen), len(seen) * litres_per_voxel(grid))
-    for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
-        truth.observe_mask(view, mask)
 
 
 def _come_due(due: deque[Occupancy], stamp: int) -> Occupancy | None:
