@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from twin_node.geometry import pose
+from twin_node.robot.kinematics import forward_kinematics
 from twin_node.robot.model import ArmModel, RobotError
 from twin_node.scene import Float64
 from twin_node.yaml_file import read_yaml
@@ -30,7 +32,9 @@ def with_factory_kinematics(model: ArmModel, path: str | Path) -> ArmModel:
     origins = np.stack([_origin(sections, section, path) for section in _SECTIONS])
     origins[0] = np.diag([-1.0, -1.0, 1.0, 1.0]) @ origins[0]  # the file starts in `base`, as UR's controller does
     calibrated = replace(model, origins=origins)
-    shift = float(np.linalg.norm(_tool_at_zero(calibrated) - _tool_at_zero(model)))
+    zeros = np.zeros(model.joints)
+    tools = [forward_kinematics(arm, zeros)[-1, :3, 3] for arm in (calibrated, model)]
+    shift = float(np.linalg.norm(tools[0] - tools[1]))
     if shift > _PLAUSIBLE_M:
         raise RobotError(
             f"{path}: expected the calibration of a {model.name}, found a tool {shift:.2f} m away from its place; "
@@ -52,18 +56,8 @@ def _origin(sections: object, section: str, path: str | Path) -> Float64:
     numbers = [float(found[name]) for name in _FIELDS]
     from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
 
-    origin = np.eye(4)
-    origin[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
-    origin[:3, 3] = numbers[:3]
-    return origin
+    return pose(Rotation.from_euler("xyz", numbers[3:]).as_matrix(), np.array(numbers[:3]))
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-
-
-def _tool_at_zero(model: ArmModel) -> Float64:
-    pose = np.eye(4)
-    for origin in model.origins:
-        pose = pose @ origin
-    return pose[:3, 3]

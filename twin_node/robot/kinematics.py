@@ -25,7 +25,7 @@ class PlacedCapsules:
 
 
 def forward_kinematics(model: ArmModel, q: NDArray[np.floating]) -> Float64:
-    """Poses [..., J + 1, 4, 4] of the links in `base_link` at joint angles [..., J] (rad); the last is `tool0`.
+    """Poses [..., J + 1, 4, 4] of the links in `base_link` at joint angles [..., J] (rad), from `base_link` itself on.
 
     Raises `RobotError` for a wrong number of angles or one that is not finite.
     """

@@ -172,19 +172,20 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
 
 def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
     """Velocities [J] (rad/s) that a URDF rates its joints at; what many files give in place of one is none."""
-    told = {}
+    told: dict[str, str] = {}
     with suppress(ExpatError):  # MuJoCo reads more than is XML: who writes such a file gives no ratings
         robot: Any = expatbuilder.parse(str(path), namespaces=False).documentElement  # prefixes are often undeclared
         for joint in _children(robot, "joint"):
-            told[joint.getAttribute("name")] = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
-    return np.array([_rating(*told.get(name, [])[:1]) for name in names])
+            limits = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
+            told[joint.getAttribute("name")] = limits[0] if limits else ""
+    return np.array([_rating(told.get(name, "")) for name in names])
 
 
 def _children(element: Any, tag: str) -> list[Any]:
     return [child for child in element.childNodes if child.nodeName == tag]
 
 
-def _rating(text: str = "") -> float:
+def _rating(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -216,17 +217,12 @@ def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
     from scipy.spatial.transform import Rotation  # loads slowly, and most processes that have an arm never ask
 
     body = int(engine.jnt_bodyid[joint])
-    frame = np.eye(4)
-    axis = engine.jnt_axis[joint]
-    turn, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
-    frame[:3, :3] = data.xmat[body].reshape(3, 3) @ turn.as_matrix()
-    frame[:3, 3] = data.xanchor[joint]
-    return frame
+    turn, _ = Rotation.align_vectors([engine.jnt_axis[joint]], [[0.0, 0.0, 1.0]])
+    return pose(data.xmat[body].reshape(3, 3) @ turn.as_matrix(), data.xanchor[joint])
 
 
 def _tool(engine: Any, data: Any, last: int, frame: Float64) -> Float64:
     """Pose [4, 4] of the body or site `tool0` that is fixed to the last body; else `frame`, the last joint's."""
-    pose = np.eye(4)
     for kind, rotations, places in (
         (mujoco.mjtObj.mjOBJ_BODY, data.xmat, data.xpos),
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xmat, data.site_xpos),
@@ -235,8 +231,7 @@ def _tool(engine: Any, data: Any, last: int, frame: Float64) -> Float64:
         body = found if kind == mujoco.mjtObj.mjOBJ_BODY or found < 0 else int(engine.site_bodyid[found])
         chain = [body, *_ancestors(engine, body)] if found >= 0 else []
         if last in chain and not any(engine.body_jntnum[b] for b in chain[: chain.index(last)]):
-            pose[:3, :3], pose[:3, 3] = rotations[found].reshape(3, 3), places[found]
-            return pose
+            return pose(rotations[found].reshape(3, 3), places[found])
     return frame
 
 
