@@ -10,6 +10,7 @@ from torch import Tensor
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
 from twin_node.splat.arguments import require_layout
+from twin_node.splat.request import fill
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,21 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
         torch.empty(count),
         torch.empty(count, 3),
     )
-    given = [t.contiguous() for t in (values.float(), carriers, positions.double(), quats.double())]
-    tensors = (*given, *vars(placed).values())
-    pointers = (tensor.data_ptr() for tensor in tensors)
-    chosen = None if rows is None else rows.contiguous()
-    row_pointer = None if chosen is None else chosen.data_ptr()
-    library.run(native.PlaceRequest(count, times, nodes, thread_count(), row_pointer, *pointers))
+    values, carriers = values.float().contiguous(), carriers.contiguous()
+    positions, quats = positions.double().contiguous(), quats.double().contiguous()
+    rows = None if rows is None else rows.contiguous()
+    request = fill(
+        native.PlaceRequest,
+        count=count,
+        times=times,
+        nodes=nodes,
+        threads=thread_count(),
+        rows=rows,
+        values=values,
+        carriers=carriers,
+        positions=positions,
+        rotations=quats,
+        **vars(placed),
+    )
+    library.run(request)
     return placed
