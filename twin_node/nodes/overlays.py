@@ -35,5 +35,5 @@ def moving_mask(snapshot: Snapshot, camera: Camera, layer: int) -> Bool | None:
 def tinted(image: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
     """The image with a mask [H, W] tinted."""
     out = image.copy()
-    out[mask] = ((1 - TINT) * image[mask] + TINT * np.array(colour, np.float32)).astype(np.uint8)
+    out[mask] = ((1 - TINT) * image[mask].astype(np.float32) + TINT * np.array(colour, np.float32)).astype(np.uint8)
     return out

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from twin_node.forecast.score import projected
+from twin_node.nodes.overlays import tinted
 from twin_node.nodes.report.quality import Image
 from twin_node.scene import Bool, Camera, Grid, Separation, Tier, UInt8, UInt32
 
@@ -75,18 +76,20 @@ def enlarge(image: Image) -> UInt8:
 def outline(picture: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
     """The picture with the contours of a mask drawn."""
     drawn = picture.copy()
-    large = cv2.resize(mask.astype(np.uint8), (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_NEAREST)
-    contours, _ = cv2.findContours(large, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    contours, _ = cv2.findContours(_enlarged(mask, picture), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     cv2.drawContours(drawn, contours, -1, colour, 2)
     return drawn
 
 
 def fill(picture: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
     """The picture with a mask tinted."""
-    large = cv2.resize(mask.astype(np.uint8), (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_NEAREST)
-    tinted = picture.astype(np.float32)
-    tinted[large > 0] = 0.55 * tinted[large > 0] + 0.45 * np.array(colour, np.float32)
-    return tinted.astype(np.uint8)
+    return tinted(picture, _enlarged(mask, picture) > 0, colour)
+
+
+def _enlarged(mask: Bool, picture: UInt8) -> UInt8:
+    """A mask, 0 and 1, in the pixels of a picture."""
+    size = (picture.shape[1], picture.shape[0])
+    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def png(picture: UInt8) -> bytes:
