@@ -17,9 +17,9 @@ from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import base_doubts, depth_unit_fault, joint_doubts, rig_doubts
-from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
+from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.moved_frames import moved_frames
-from twin_node.nodes.renaming import check_types, renamed
+from twin_node.nodes.renaming import Renamed, check_types, renamed
 from twin_node.nodes.stream_statistics import StreamStatistics, faults_of, statistics_of
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import (
@@ -129,7 +129,7 @@ def check_log(log: LogReader) -> LogCheck:
     except GraphError as error:
         whole.append(str(error))
     else:
-        whole += [*_camera_faults(log, seen), *moved_frames(log, topics.original(TF_STATIC))]
+        whole += [*_camera_faults(log, topics, seen), *moved_frames(log, topics.original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
 
 
@@ -214,8 +214,7 @@ def _depth_faults(contents: Sequence[Any]) -> list[str]:
     return [] if fault is None else [fault]
 
 
-def _camera_faults(log: LogReader, seen: Mapping[str, _Seen]) -> list[str]:
-    names = renamed(log)
+def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) -> list[str]:
     if not has_images(names.spoken) and any(topic in RECORDED for topic in names.spoken):
         return []  # what a twin has said; the images that it was made from are in another log
     try:
@@ -252,7 +251,7 @@ def _first_set_faults(log: LogReader) -> list[str]:
         with warnings.catch_warnings(), LogSession(log.path) as session:
             warnings.simplefilter("ignore", TwinWarning)  # what the check tells by itself
             source = LogSource(session, SynchronizerParameters())
-            workspace_for(session.rig, source.cameras)
+            _ = source.workspace  # a twin needs one, and cameras may see none together
             first = next(iter(source), None)
     except TwinError as error:
         return [str(error)]

@@ -21,7 +21,7 @@ ONE_CLOCK_NS = 100_000_000
 A_MOMENT_NS = 500_000_000
 """In which a log's time goes on, if it is one."""
 JOINTS_LOOKED_AT = 50
-"""Messages with joints: of some devices on one topic, each with stamps of its own."""
+"""Messages that tell of joints: of some devices on one topic, each with stamps, and at a rate, of its own."""
 
 
 class LogClocks:

@@ -14,6 +14,7 @@ from twin_node.messages import MessageError
 from twin_node.messages.convert import BASE_FRAME, depth_from_message
 from twin_node.nodes.calibration import static_transforms
 from twin_node.nodes.contents import content_of
+from twin_node.nodes.log_clocks import JOINTS_LOOKED_AT
 from twin_node.nodes.renaming import Renamed
 from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics, kind_of_own
 from twin_node.rig.undistort import distort
@@ -24,8 +25,6 @@ ONE_PLACE_M = 1e-3
 """So near to each other no two lenses fit, m."""
 BENT = 0.01
 """Share of the width by which images that were rectified are not bent any more, whoever calibrated them once more."""
-LOOKED_AT = 50
-"""Messages that tell which joints there are: of some devices on one topic, each at a rate of its own."""
 FARTHEST_M, NEAREST_M = 30.0, 0.05
 """Depth that cameras of a cell can measure, m; outside of it the unit is wrong."""
 ONE_BASE = 1e-3
@@ -96,7 +95,7 @@ def joint_doubts(names: Renamed) -> Iterator[str]:
 
 def joints_told(log: LogReader, names: Renamed) -> tuple[str, ...]:
     """Names of the joints that a log tells of, in their order."""
-    entries = itertools.islice(log.messages([names.original(JOINT_STATES)]), LOOKED_AT)
+    entries = itertools.islice(log.messages([names.original(JOINT_STATES)]), JOINTS_LOOKED_AT)
     return tuple(dict.fromkeys(name for entry in entries for name in content_of(entry, log).name))
 
 

@@ -18,7 +18,7 @@ from twin_node.nodes.renaming import check_types, renamed
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TF_STATIC, TRAJECTORY, CameraTopics
-from twin_node.rig import workspace_of
+from twin_node.rig import FrameAssembler, workspace_of
 from twin_node.robot import ArmModel, arm_model
 from twin_node.runtime.bus import Bus, LocalBus
 from twin_node.runtime.clock import Clock, SteppedClock
@@ -140,8 +140,7 @@ class LogSource:
         """`joint_names`, `takes_all`: see `LogSession.synchronizer`."""
         self._session = session
         self._grouping = (parameters, joint_names, takes_all)
-        unused = session.synchronizer(LocalBus(), SteppedClock(), *self._grouping)
-        self._cameras = unused.cameras
+        self._cameras = FrameAssembler(session.rig.cameras, parameters.width).cameras
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

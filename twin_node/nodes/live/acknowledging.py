@@ -36,7 +36,7 @@ class Told:
         return f"{self.state}: {self.reason}"
 
 
-def acknowledge(wire: Wire, patience_s: float = PATIENCE_S) -> tuple[Told, Told]:
+def acknowledge(wire: Wire) -> tuple[Told, Told]:
     """What the driver of the graph says before and after it is told that somebody has seen to its halt.
 
     Raises `GraphError` where none is heard.
@@ -47,7 +47,7 @@ def acknowledge(wire: Wire, patience_s: float = PATIENCE_S) -> tuple[Told, Told]
     bus.subscribe(DIAGNOSTICS, lambda message: heard.extend(_told(message)))
 
     def listen(is_enough: Callable[[], bool]) -> None:
-        until = time.monotonic() + patience_s
+        until = time.monotonic() + PATIENCE_S
         while not is_enough() and (left_s := until - time.monotonic()) > 0:
             executor.step(left_s)
 
@@ -55,7 +55,7 @@ def acknowledge(wire: Wire, patience_s: float = PATIENCE_S) -> tuple[Told, Told]
     listen(lambda: bool(heard) and bus.is_heard(ACKNOWLEDGE))
     if not heard:
         raise GraphError(
-            f"expected the driver of an arm on the graph of this machine, heard none within {patience_s:g} s; "
+            f"expected the driver of an arm on the graph of this machine, heard none within {PATIENCE_S:g} s; "
             "'twin_node doctor' says who is there (another ROS_DOMAIN_ID?)"
         )
     before = heard[-1]

@@ -23,7 +23,7 @@ from twin_node.nodes.topics import (
     CameraTopics,
 )
 from twin_node.nodes.ur_driver import DRIVEN_ARM
-from twin_node.nodes.viewer.page import CellPage, ViewerError
+from twin_node.nodes.viewer.page import DEFAULT_PORT, LOOPBACK, CellPage, ViewerError
 from twin_node.nodes.viewer.panel import OF_THE_TWIN
 from twin_node.nodes.viewer.picked import HISTORY_NS
 from twin_node.nodes.viewer.priority import go_last
@@ -68,8 +68,8 @@ class Heard:
 class ViewerParameters:
     """Where the page is, and what it shows."""
 
-    host: str = "127.0.0.1"
-    port: int = 8080
+    host: str = LOOPBACK
+    port: int = DEFAULT_PORT
     width: int = 160
     """Of the cameras' images, px."""
     rig_file: str = ""

@@ -42,7 +42,7 @@ class CellPage:
     """
 
     def __init__(
-        self, arm: ArmModel, cameras: tuple[Camera, ...] = (), host: str = LOOPBACK, port: int = DEFAULT_PORT
+        self, arm: ArmModel, cameras: tuple[Camera, ...], host: str = LOOPBACK, port: int = DEFAULT_PORT
     ) -> None:
         """`cameras`: those that are known already. Raises `ViewerError` where viser is missing or the port is taken."""
         self.server = _open_server(host, port)
