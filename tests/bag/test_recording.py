@@ -72,6 +72,20 @@ def test_topics_of_any_name_may_be_latched(tmp_path: Path) -> None:
         assert [m.message.data for m in log.messages(["/map"])] == ["where walls are"]
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "run"])
+def test_topics_of_one_type_keep_the_definitions_that_each_has_of_it(tmp_path: Path, name: str) -> None:
+    """All topics of a type were written with the definition that the first one had of it, and read by that."""
+    split = SplitParameters(max_duration_s=1.0) if name == "run" else None
+    older, newer = (builtin_types().extended({STRING: text}) for text in ("string data\n", "string data\nint32 size\n"))
+    with RecordingWriter(tmp_path / name, split) as writer:
+        for stamp in (0, 10 * STEP, 20 * STEP):
+            writer.write("/old", STRING, older.serialize(older.message_type(STRING)(data="a")), stamp, older)
+            writer.write("/new", STRING, newer.serialize(newer.message_type(STRING)(data="b", size=1)), stamp, newer)
+    with open_log(tmp_path / name) as log:
+        assert [message.message.size for message in log.messages(["/new"])] == [1, 1, 1]
+        assert [message.message.data for message in log.messages(["/old"])] == ["a", "a", "a"]
+
+
 def test_nothing_of_finished_files_stays_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The index of their chunks stayed: a recorder that ran for days in files of a minute grew by the day."""
     alive: list[weakref.ref[McapWriter]] = []
@@ -81,7 +95,7 @@ def test_nothing_of_finished_files_stays_in_memory(tmp_path: Path, monkeypatch: 
             super().__init__(*told, **more)
             alive.append(weakref.ref(self))
 
-    monkeypatch.setattr(recording, "Writer", Watched)
+    monkeypatch.setattr("twin_node.bag.mcap_stream.Writer", Watched)
     writer = RecordingWriter(tmp_path / "run", SplitParameters(max_duration_s=1.0))
     fill(writer, 30)
     gc.collect()

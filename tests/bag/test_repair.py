@@ -144,7 +144,7 @@ def test_attachments_that_a_repaired_log_goes_without_are_told(tmp_path: Path, c
     with LogWriter(path) as log:
         log.write("/a", message_type(STRING)(data="a"), 1)
         log.flush()
-        log._sink._writer.add_attachment(1, 1, "notes.txt", "text/plain", b"what was seen")
+        log._sink.stream._writer.add_attachment(1, 1, "notes.txt", "text/plain", b"what was seen")
     path.write_bytes(path.read_bytes()[: path.stat().st_size - cut])
     assert repair(path, tmp_path / "whole.mcap").left_out == ("the attachment notes.txt",)
     with open_log(path) as log:

@@ -6,19 +6,20 @@ import contextlib
 import errno
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, get_args
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from twin_node.bag.disk import DiskSync
-from twin_node.bag.folder_metadata import METADATA_FILE, FolderFile, FolderTopic, write_metadata
+from twin_node.bag.folder_metadata import METADATA_FILE, write_metadata
 from twin_node.bag.latched import kept_with
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
+from twin_node.bag.mcap_stream import Announced, McapStream, Written
 from twin_node.bag.qos import is_latched, offered_qos_profiles
-from twin_node.bag.writer import PROFILE, RECORDER, ChunkCompression
+from twin_node.bag.writer import RECORDER, ChunkCompression
 from twin_node.messages import MessageTypes
 from twin_node.ranges import NOT_NEGATIVE, check_ranges
 
@@ -55,34 +56,19 @@ class SplitParameters:
 
 
 @dataclass(frozen=True)
-class _Channel:
-    """A topic, and how its messages are written."""
-
-    name: str
-    msgtype: str
-    definition: str
-    type_hash: str
-    is_latched: bool
-
-
-@dataclass
 class _File:
     """What is known of one file of a recording."""
 
     path: Path
-    counts: dict[str, int] = field(default_factory=dict)
-    start: int | None = None
-    end: int = 0
+    written: Written
 
 
 @dataclass
 class _Open:
     """What else the file has that is written; it goes with its end: an index of all chunks of days fills a memory."""
 
-    stream: BinaryIO
-    writer: Writer
-    channels: dict[str, int] = field(default_factory=dict)
-    schemas: dict[str, int] = field(default_factory=dict)
+    file: BinaryIO
+    stream: McapStream
     bytes: int = 0
     repeated: int = 0
     """Of those, what other files had too: a limit below it would begin a file for every message."""
@@ -109,9 +95,9 @@ class RecordingWriter:
         self.path = Path(path)
         self._compression = CompressionType[compression.upper()]
         self._split = split or SplitParameters()
-        self._channels: dict[str, _Channel] = {}
+        self._topics: dict[str, Announced] = {}
         self._kept: dict[str, list[bytes]] = {}
-        """What the next file begins with."""
+        """By latched topic what the next file begins with."""
         self._files: list[_File] = []
         self._open: _Open | None = None
         self._disk = DiskSync()
@@ -131,18 +117,18 @@ class RecordingWriter:
     @property
     def messages(self) -> int:
         """Messages written so far."""
-        return sum(sum(file.counts.values()) for file in self._files)
+        return sum(sum(file.written.counts.values()) for file in self._files)
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics that messages were written of."""
-        return tuple(self._channels)
+        return tuple(self._topics)
 
     @property
     def seconds(self) -> float:
         """From the first message to the last one, s."""
-        starts = [file.start for file in self._files if file.start is not None]
-        return (max(file.end for file in self._files) - min(starts)) / 1e9 if starts else 0.0
+        starts = [file.written.start for file in self._files if file.written.start is not None]
+        return (max(file.written.end for file in self._files) - min(starts)) / 1e9 if starts else 0.0
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -166,21 +152,24 @@ class RecordingWriter:
         """
         check_log_time(stamp, topic, self.path)
         try:
-            channel = self._channels.get(topic)
-            if channel is None:
-                definition, type_hash = types.definition(msgtype), types.type_hash(msgtype)
+            known = self._topics.get(topic)
+            if known is None:
                 latched = is_latched(topic) if latched is None else latched
-                channel = _Channel(topic, msgtype, definition, type_hash, latched)
-                self._channels[topic] = channel
-            elif channel.msgtype != msgtype:
-                raise BagError(f"{self.path}: topic {topic} holds {channel.msgtype}, found a message of {msgtype}")
+                qos = offered_qos_profiles(latched)
+                self._topics[topic] = Announced(
+                    topic, msgtype, types.definition(msgtype), types.type_hash(msgtype), qos
+                )
+                if latched:
+                    self._kept[topic] = []
+            elif known.msgtype != msgtype:
+                raise BagError(f"{self.path}: topic {topic} holds {known.msgtype}, found a message of {msgtype}")
             if self._is_full(stamp):
                 self._end_file()
                 self._begin_file()
                 self._repeat_latched(stamp)
-            self._put(channel, data, stamp)
-            if channel.is_latched:
-                self._kept[topic] = kept_with(self._kept.get(topic, ()), topic, bytes(data))
+            self._put(topic, data, stamp)
+            if topic in self._kept:
+                self._kept[topic] = kept_with(self._kept[topic], topic, bytes(data))
             self.flush_if_due()
         except OSError as error:
             raise self._refused(error) from None
@@ -191,7 +180,7 @@ class RecordingWriter:
         if now - self._flushed_at >= FLUSH_S:
             self._flushed_at = now
             try:
-                self._now_open.writer.flush()
+                self._now_open.stream.flush()
                 self._disk.ask(self._files[-1].path)
                 self._check_is_there()
             except OSError as error:
@@ -199,7 +188,7 @@ class RecordingWriter:
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Adds a record of strings to the file that is being written."""
-        self._now_open.writer.add_metadata(name, dict(record))
+        self._now_open.stream.add_metadata(name, record)
 
     def close(self) -> None:
         """Finishes the last file and writes the folder's metadata; a second call does nothing."""
@@ -223,7 +212,7 @@ class RecordingWriter:
         """
         self.close()
         other = RecordingWriter(path, self._split, self._compression.name.lower())
-        other._channels = {name: self._channels[name] for name in self._kept}
+        other._topics = {name: self._topics[name] for name in self._kept}
         other._kept = self._kept
         try:
             other._repeat_latched(stamp)
@@ -236,7 +225,7 @@ class RecordingWriter:
         self._is_closed = True
         if self._open is not None:
             with contextlib.suppress(OSError):  # what waits for the disk is not wanted either
-                self._open.stream.close()
+                self._open.file.close()
         for file in self._files:
             file.path.unlink(missing_ok=True)
         if self.path.suffix != ".mcap":
@@ -259,33 +248,33 @@ class RecordingWriter:
         path = self.path
         if path.suffix != ".mcap":
             path = path / f"{path.name}_{len(self._files)}.mcap"
-        stream = path.open("xb")
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=self._compression)
+        file = path.open("xb")
         try:
-            writer.start(PROFILE, RECORDER)
-            stream.flush()  # before the metadata names it: an empty file is no log
+            stream = McapStream(file, RECORDER, CHUNK_BYTES, self._compression)
+            file.flush()  # before the metadata names it: an empty file is no log
         except OSError:
             with contextlib.suppress(OSError):
-                stream.close()
+                file.close()
             path.unlink()
             raise
-        self._files.append(_File(path))
-        self._open = _Open(stream, writer)
+        self._files.append(_File(path, stream.written))
+        self._open = _Open(file, stream)
         self._disk.ask(path.parent)
         self._write_metadata()
 
     def _repeat_latched(self, stamp: int) -> None:
         for name, messages in self._kept.items():
             for kept in messages:
-                self._put(self._channels[name], kept, stamp)
+                self._put(name, kept, stamp)
         self._now_open.repeated = self._now_open.bytes
 
     def _write_metadata(self) -> None:
         """Of a folder: it names all files from the first moment on, so that an interrupted recording opens too."""
         if self.path.suffix == ".mcap":
             return
-        files, topics = [_told(file) for file in self._files], [self._topic(name) for name in self.topics]
-        write_metadata(self.path, files, topics)
+        files = [file.written.in_folder(file.path.name) for file in self._files]
+        counts = {name: sum(file.written.counts.get(name, 0) for file in self._files) for name in self._topics}
+        write_metadata(self.path, files, [topic.in_folder(counts[name]) for name, topic in self._topics.items()])
         self._disk.ask(self.path / METADATA_FILE)
         self._disk.ask(self.path)
 
@@ -295,9 +284,9 @@ class RecordingWriter:
         if ended is None:
             return
         try:
-            ended.writer.finish()
+            ended.stream.finish()
         finally:
-            ended.stream.close()
+            ended.file.close()
         self._disk.ask(self._files[-1].path)
 
     def _check_is_there(self) -> None:
@@ -305,36 +294,18 @@ class RecordingWriter:
         self._files[-1].path.stat()
 
     def _is_full(self, stamp: int) -> bool:
-        start, now_open = self._files[-1].start, self._now_open
+        start, now_open = self._files[-1].written.start, self._now_open
         if self.path.suffix == ".mcap" or start is None:
             return False
         too_big = 0 < self._split.max_size_mb * 1e6 <= now_open.bytes - now_open.repeated
         return too_big or 0 < self._split.max_duration_s * 1e9 <= stamp - start
 
-    def _put(self, channel: _Channel, data: bytes | memoryview, stamp: int) -> None:
-        file, now_open = self._files[-1], self._now_open
-        if channel.name not in now_open.channels:
-            if channel.msgtype not in now_open.schemas:
-                text = channel.definition.encode()
-                now_open.schemas[channel.msgtype] = now_open.writer.register_schema(channel.msgtype, "ros2msg", text)
-            qos = {
-                "offered_qos_profiles": offered_qos_profiles(channel.is_latched),
-                "topic_type_hash": channel.type_hash,
-            }
-            schema = now_open.schemas[channel.msgtype]
-            now_open.channels[channel.name] = now_open.writer.register_channel(channel.name, "cdr", schema, qos)
-        count = file.counts.get(channel.name, 0)
-        now_open.writer.add_message(now_open.channels[channel.name], stamp, bytes(data), stamp, count)
-        file.counts[channel.name] = count + 1
-        file.start = stamp if file.start is None else min(file.start, stamp)
-        file.end = max(file.end, stamp)
+    def _put(self, topic: str, data: bytes | memoryview, stamp: int) -> None:
+        now_open = self._now_open
+        if topic not in now_open.stream.topics:
+            now_open.stream.add_topic(self._topics[topic])
+        now_open.stream.write(topic, data, stamp, stamp)
         now_open.bytes += len(data)
-
-    def _topic(self, name: str) -> FolderTopic:
-        channel = self._channels[name]
-        count = sum(file.counts.get(name, 0) for file in self._files)
-        qos = offered_qos_profiles(channel.is_latched)
-        return FolderTopic(name, channel.msgtype, qos, channel.type_hash, count)
 
     def _refused(self, error: OSError) -> BagError:
         if error.errno == errno.ENOENT:
@@ -357,7 +328,3 @@ def _check(path: Path, split: SplitParameters) -> None:
         raise BagError(f"{path}: folder {path.parent} does not exist; create it first")
     if path.suffix == ".mcap" and split != SplitParameters():
         raise BagError(f"{path}: one file cannot be split; give a name without an ending for a folder of files")
-
-
-def _told(file: _File) -> FolderFile:
-    return FolderFile(file.path.name, file.start, file.end, sum(file.counts.values()))

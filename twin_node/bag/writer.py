@@ -5,25 +5,22 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from rosbags.interfaces import Qos
 
-from twin_node.bag.folder_metadata import FolderFile, FolderTopic, write_metadata
+from twin_node.bag.folder_metadata import write_metadata
 from twin_node.bag.log import BagError
 from twin_node.bag.log_times import check_log_time
 from twin_node.bag.mcap_records import library_of
+from twin_node.bag.mcap_stream import Announced, McapStream
 from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
 from twin_node.unfinished import partial_of, taken, unwritable
 
-IDL_BEGIN = "=" * 80 + "\nIDL: "
-"""Of a definition in ROS 2's IDL: one section for each type, under a line that names it."""
-PROFILE = "ros2"
 LIBRARY = "twin_node"
 """Written into logs that a command makes of something, and can make again: such a log may be replaced."""
 RECORDER = "twin_node record"
@@ -34,28 +31,13 @@ ChunkCompression = Literal["none", "zstd", "lz4"]
 """How the chunks of an MCAP file are compressed. Zstd makes what a twin says a quarter, for a twentieth of a core."""
 
 
-@dataclass(frozen=True)
-class _Announced:
-    """A topic, as it is announced."""
-
-    name: str
-    msgtype: str
-    definition: str
-    type_hash: str
-    qos: str
-    """`offered_qos_profiles`."""
-
-
 class _Sink(Protocol):
     """Where a log goes: a file or a folder."""
 
-    def add_topic(self, topic: _Announced) -> None: ...
-
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None: ...
+    @property
+    def stream(self) -> McapStream: ...
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None: ...
-
-    def flush(self) -> None: ...
 
     def commit(self) -> None: ...
 
@@ -113,7 +95,7 @@ class LogWriter:
         latched = is_latched(name) if latched is None else latched
         qos = stored(profiles or [profile(latched)])
         try:
-            self._sink.add_topic(_Announced(name, msgtype, text, type_hash, qos))
+            self._sink.stream.add_topic(Announced(name, msgtype, text, type_hash, qos))
         except OSError as error:
             raise self._refused(error) from None
 
@@ -131,7 +113,7 @@ class LogWriter:
         try:
             if self._topics.get(topic) != msgtype:
                 self.add_topic(topic, msgtype)
-            self._sink.write(topic, data, stamp_ns, stamp_ns if published_ns is None else published_ns)
+            self._sink.stream.write(topic, data, stamp_ns, stamp_ns if published_ns is None else published_ns)
         except OSError as error:
             raise self._refused(error) from None
 
@@ -145,7 +127,7 @@ class LogWriter:
     def flush(self) -> None:
         """Hands all that was written to the operating system, so that a crash loses nothing of it."""
         try:
-            self._sink.flush()
+            self._sink.stream.flush()
         except OSError as error:
             raise self._refused(error) from None
 
@@ -218,40 +200,13 @@ class _FileSink:
             self._file = self._partial.open("xb")
         except FileExistsError:
             raise BagError(taken(path)) from None
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=compression)
-        self._writer.start(PROFILE, library)
-        self._schemas: dict[tuple[str, str], int] = {}
-        """By type and definition."""
-        self._channels: dict[str, int] = {}
-        self.counts: dict[str, int] = {}
-        """Topic -> messages."""
-        self.start: int | None = None
-        """Log times of the first and the last message, ns."""
-        self.end = 0
-
-    def add_topic(self, topic: _Announced) -> None:
-        key = topic.msgtype, topic.definition
-        if key not in self._schemas:
-            form = "ros2idl" if topic.definition.startswith(IDL_BEGIN) else "ros2msg"
-            self._schemas[key] = self._writer.register_schema(topic.msgtype, form, topic.definition.encode())
-        qos = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
-        self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[key], qos)
-        self.counts.setdefault(topic.name, 0)
-
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:
-        self._writer.add_message(self._channels[topic], stamp_ns, data, published_ns, self.counts[topic])
-        self.counts[topic] += 1
-        self.start = stamp_ns if self.start is None else min(self.start, stamp_ns)
-        self.end = max(self.end, stamp_ns)
+        self.stream = McapStream(self._file, library, CHUNK_BYTES, compression)
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, dict(record))
-
-    def flush(self) -> None:
-        self._writer.flush()
+        self.stream.add_metadata(name, record)
 
     def commit(self) -> None:
-        self._writer.finish()
+        self.stream.finish()
         self._file.close()
         self._partial.replace(self._path)
 
@@ -282,28 +237,20 @@ class _FolderSink:
         except OSError:
             shutil.rmtree(self._partial, ignore_errors=True)
             raise
-        self._topics: dict[str, _Announced] = {}
         self._records: dict[str, Mapping[str, str]] = {}
 
-    def add_topic(self, topic: _Announced) -> None:
-        self._topics[topic.name] = topic
-        self._file.add_topic(topic)
-
-    def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:
-        self._file.write(topic, data, stamp_ns, published_ns)
+    @property
+    def stream(self) -> McapStream:
+        return self._file.stream
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         self._records[name] = record
 
-    def flush(self) -> None:
-        self._file.flush()
-
     def commit(self) -> None:
         self._file.commit()
-        counts = self._file.counts
-        file = FolderFile(self._name, self._file.start, self._file.end, sum(counts.values()))
-        topics = [FolderTopic(t.name, t.msgtype, t.qos, t.type_hash, counts[t.name]) for t in self._topics.values()]
-        write_metadata(self._folder, [file], topics, self._records)
+        written = self.stream.written
+        topics = [topic.in_folder(written.counts[name]) for name, topic in self.stream.topics.items()]
+        write_metadata(self._folder, [written.in_folder(self._name)], topics, self._records)
         self._folder.rename(self._path)
         self._partial.rmdir()
 
