@@ -11,8 +11,8 @@ from torch.autograd.function import once_differentiable
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import RasterMeta, Rendered, Scene, non_finite, require_finite
-from twin_node.splat.request import fill, new_request
+from twin_node.splat.arguments import RasterMeta, Rendered, Scene, require_finite
+from twin_node.splat.request import fill, new_request, not_finite_is_named
 from twin_node.splat.semantics import Semantics, installed_semantics
 
 
@@ -93,12 +93,9 @@ class _Call:
                 depths=torch.empty(*lead, scene.count),
             ),
         )
-        try:
-            images = _Images(rendered.renders, rendered.alphas)
-            self.library.forward(self.workspace, self._request(inputs, images, rendered.meta))
-        except native.NonFiniteError as error:
-            name, tensor = list(vars(inputs).items())[error.index]
-            raise non_finite(name, tensor) from None
+        request = self._request(inputs, _Images(rendered.renders, rendered.alphas), rendered.meta)
+        with not_finite_is_named(vars(inputs)):
+            self.library.forward(self.workspace, request)
         return rendered
 
     def differentiate(self, inputs: _Inputs, images: _Images, pulls: _Images, with_cameras: bool) -> _Inputs:

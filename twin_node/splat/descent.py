@@ -6,9 +6,8 @@ import torch
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import non_finite
 from twin_node.splat.learning import OPTIONS, Aims, Bystanders, Course, Descended, Learners
-from twin_node.splat.request import fill, new_request
+from twin_node.splat.request import fill, new_request, not_finite_is_named
 
 
 def descend_compiled(
@@ -17,11 +16,9 @@ def descend_compiled(
     """`descend` for tensors on the CPU."""
     call = _Call(learners, bystanders, aims)
     request = call.request(course)
-    try:
+    checked = {"backdrop": call.backdrop, "rgb": call.rgb, "weights": call.weights, "depth": call.depth}
+    with not_finite_is_named(checked):
         library.descend(native.Workspace(library), request)
-    except native.NonFiniteError as error:
-        name = ("backdrop", "rgb", "weights", "depth")[error.index]
-        raise non_finite(name, (call.backdrop, call.rgb, call.weights, call.depth)[error.index]) from None
     first = call.standing
     return Descended(
         call.seen, call.alphas, call.v_means[:, first:], call.v_quats[:, first:], int(call.refused), call.losses

@@ -14,7 +14,8 @@ from torch.autograd.function import once_differentiable
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import non_finite, require_finite
+from twin_node.splat.arguments import require_finite
+from twin_node.splat.request import fill, not_finite_is_named
 
 WINDOW_TAPS = 11
 """Width of the SSIM's window, pixels (Wang et al. 2004)."""
@@ -135,27 +136,27 @@ class _FusedLoss(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, render: Tensor, call: _Loss, library: native.SplatLibrary) -> Tensor:
-        inputs = [render.contiguous(), call.target.contiguous()]
-        inputs += [torch.empty(0) if t is None else t.contiguous() for t in (call.weights, call.target_depth)]
-        gradient = torch.zeros_like(inputs[0])
+        given = {"render": render, "target": call.target, "weights": call.weights, "target_depth": call.target_depth}
+        inputs = {name: None if t is None else t.contiguous() for name, t in given.items()}
+        gradient = torch.zeros_like(render, memory_format=torch.contiguous_format)
         loss = torch.empty(1, dtype=torch.float64)
         images, height, width, channels = render.shape
-        request = native.LossRequest(
-            images,
-            height,
-            width,
-            channels,
-            thread_count(),
-            call.l1,
-            call.ssim,
-            call.depth_weight,
-            *(t.data_ptr() or None for t in (*inputs, gradient, loss)),
+        request = fill(
+            native.LossRequest,
+            images=images,
+            height=height,
+            width=width,
+            channels=channels,
+            threads=thread_count(),
+            l1=call.l1,
+            ssim=call.ssim,
+            depth_weight=call.depth_weight,
+            **inputs,
+            gradient=gradient,
+            loss=loss,
         )
-        try:
+        with not_finite_is_named(inputs):
             library.image_loss(request)
-        except native.NonFiniteError as error:
-            name = ("render", "target", "weights", "target_depth")[error.index]
-            raise non_finite(name, inputs[error.index]) from None
         ctx.save_for_backward(gradient)
         return loss[0].float()
 

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, RenderMode, non_finite, require_layout
+from twin_node.splat.arguments import Options, RenderMode, require_layout
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.request import fill, new_request
+from twin_node.splat.request import fill, new_request, not_finite_is_named
 
 
 @dataclass(frozen=True)
@@ -138,11 +138,9 @@ class Missed:
             pull=pull,
             pull_alpha=pull_alpha,
         )
-        try:
+        names = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")
+        with not_finite_is_named(dict(zip(names, (*self._given, view.viewmat, view.K), strict=True))):
             library.add_missed(self._workspace, request)
-        except native.NonFiniteError as error:
-            name = ("means", "quats", "scales", "opacities", "rgb", "viewmat", "K")[error.index]
-            raise non_finite(name, (*self._given, view.viewmat, view.K)[error.index]) from None
 
     def _scene(self, view: Sight, found: dict[str, Tensor]) -> native.Request:
         height, width = view.counted.shape

@@ -1,14 +1,16 @@
-"""Structs of the compiled library, filled by the names of their fields; what is not named is 0."""
+"""Structs of the compiled library, filled by the names of their fields, and its errors by those of the arguments."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from torch import Tensor
 
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options
+from twin_node.splat.arguments import Options, non_finite
 from twin_node.splat.semantics import Semantics, installed_semantics
 
 DEPTH_MODES = {"RGB": 0, "D": 1, "RGB+D": 1, "ED": 2, "RGB+ED": 2}
@@ -19,7 +21,7 @@ Field = int | float | Tensor | ctypes.Structure | None
 
 
 def fill(struct: type[Struct], /, **fields: Field) -> Struct:
-    """A struct of the library; a tensor stands for where it begins, an empty one for none.
+    """A struct of the library; a tensor stands for where it begins, an empty one for none; what is not named is 0.
 
     The struct is good for as long as the tensors are held. Raises `AttributeError` for a name that is no field's.
     """
@@ -44,6 +46,20 @@ def new_request(options: Options, semantics: Semantics | None = None, /, **field
         min_compensation=semantics.min_compensation,
         **_addressed(fields),
     )
+
+
+@contextmanager
+def not_finite_is_named(given: Mapping[str, Tensor | None]) -> Iterator[None]:
+    """Raises `ValueError` naming the argument that a call of the library finds not to be finite.
+
+    `given`: its arguments in the order in which the library counts those that it checks.
+    """
+    try:
+        yield
+    except native.NonFiniteError as error:
+        name, tensor = list(given.items())[error.index]
+        assert tensor is not None
+        raise non_finite(name, tensor) from None
 
 
 def _addressed(fields: dict[str, Field]) -> dict[str, Any]:

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from twin_node.native_library import thread_count
 from twin_node.splat import library as native
-from twin_node.splat.arguments import Options, non_finite, require_layout
+from twin_node.splat.arguments import Options, require_layout
 from twin_node.splat.dispatch import rasterize
-from twin_node.splat.request import Field, new_request
+from twin_node.splat.request import Field, new_request, not_finite_is_named
 
 _OPTIONS = Options(render_mode="RGB+ED")
 _FIELDS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks")
@@ -120,7 +120,5 @@ def _do(work: Callable[[native.Request], None], shot: Shot, options: Options, **
         depths=depths,
         **fields,
     )
-    try:
+    with not_finite_is_named(dict(zip(tensors, given, strict=True))):
         work(request)
-    except native.NonFiniteError as error:
-        raise non_finite(list(tensors)[error.index], given[error.index]) from None
