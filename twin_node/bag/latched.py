@@ -8,7 +8,7 @@ from twin_node.bag.log import LogMessage
 from twin_node.bag.reader import LogReader
 
 SEVERAL = 100
-"""Messages of such a topic that are kept, the newest."""
+"""How many messages of a topic of several publishers (`is_of_several`) are kept, the newest."""
 FIRST_REACH_NS = 2_000_000_000
 """How far back a first look goes: twice the period of what is published once a second."""
 

@@ -65,7 +65,8 @@ class _File:
 
 @dataclass
 class _Open:
-    """What else the file has that is written; it goes with its end: an index of all chunks of days fills a memory."""
+    """What only the file that is being written needs. It is dropped when that file ends: the index of all chunks of
+    some days would fill the memory."""
 
     file: BinaryIO
     stream: McapStream

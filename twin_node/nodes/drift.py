@@ -17,7 +17,8 @@ from twin_node.scene import FrameSet
 PERIOD_NS = 1_000_000_000
 """Diagnostics go out at 1 Hz of evidence time, as is customary, and at once when a verdict changes."""
 KEPT_PERIOD_NS = 10_000_000_000
-"""What is known of the cameras is kept so often, and when a verdict changes: what creeps is named after longer."""
+"""How often what is known of the cameras is saved, besides when a verdict changes: a camera that creeps is watched for
+longer than this before it is named."""
 FILE = "cameras"
 """Where, in the folder of what is kept."""
 

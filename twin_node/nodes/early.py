@@ -12,9 +12,10 @@ from twin_node.side_thread import Task
 KEPT = 4
 """Views of one camera: more images than that between its own and its set's last one are not worth their memory."""
 GAPS = 8
-"""Times between sets that tell how soon the next may be whole."""
+"""How many of the last times between sets tell how soon the next may be whole."""
 SOON = 0.75
-"""Share of the least of them before which none is: what a faster camera shows meanwhile is in none."""
+"""No set is expected sooner after the last than this share of the shortest gap: what a faster camera sends before that
+is in none."""
 
 
 class EarlyViews:

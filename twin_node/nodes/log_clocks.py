@@ -19,7 +19,7 @@ OTHER_CLOCK_NS = 1_000_000_000
 ONE_CLOCK_NS = 100_000_000
 """By so much, cameras that are stamped by one clock may be recorded sooner and later; as a live synchroniser allows."""
 A_MOMENT_NS = 500_000_000
-"""In which a log's time goes on, if it is one."""
+"""How much later the cameras are looked at again, ns: times of recording that have not gone on by then tell nothing."""
 JOINTS_LOOKED_AT = 50
 """Messages that tell of joints: of some devices on one topic, each with stamps, and at a rate, of its own."""
 
@@ -100,7 +100,8 @@ class LogClocks:
         return [header_stamp(content_of(image, self._log)) for image in images] == [0, 0]
 
     def _found_apart(self, cameras: Sequence[CameraTopics], span: Span) -> dict[str, int]:
-        """Those that are as far off a moment later, too: one may have come later to a log whose times are none."""
+        """Cameras that are as far off a moment later, too: where times of recording do not go on, a camera that was
+        started later seems to be ahead."""
         first = self._leads(cameras, span)
         apart = _apart({name: lead for name, (lead, _) in first.items()})
         if not apart:

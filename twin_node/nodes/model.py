@@ -25,9 +25,8 @@ WHOLE_CLOUD_PERIOD_NS = 1_000_000_000
 """The whole cloud goes out latched at 1 Hz; what has changed since, and what moves, with every set that the model
 follows."""
 MOST_LET_BE = 1
-"""Sets in a row that are looked at and not followed where the next one waits already: to follow takes as long as all
-else, and the arm is told of people so much more often."""
-
+"""So many sets in a row, at most, are looked at and not followed when the next one waits already: following takes as
+long as everything else, and without it the arm hears of people that much more often."""
 LAST_S = 3.0
 """How long what is followed at the end is waited for, s: less than a launcher waits before it kills a process."""
 

@@ -22,7 +22,7 @@ from twin_node.nodes.topics import (
 )
 
 _READ = (JOINT_STATES, TRAJECTORY, TF_STATIC, TF)
-"""Beside images and their calibration."""
+"""Topics that are read by their names, besides images and their calibration."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ AT_REST = 1.9
 """How many times as long a set takes while people work as while nothing moves, of whatever size: 27 for 14, 31 for 16,
 35 for 18 and 39 for 20 ms from `tiny` to `large`."""
 AT_WORK = 0.05
-"""Share of the pixels that move by then; of somebody who reaches in it is 6 %."""
+"""Share of moving pixels from which people are taken to be at work; somebody who reaches in makes 6 %."""
 FILE = "size"
 """Where a launch's size stands, in the folder of what is kept."""
 

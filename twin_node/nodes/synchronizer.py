@@ -28,7 +28,8 @@ from twin_node.side_thread import SideThread, Task
 MOST_TOLERANCE_MS = 10_000.0
 """Depth images are not kept for so long."""
 MODEL_THREADS = 2
-"""Those that looking and following keep busy: where there are no more, another would only take from these."""
+"""Threads that looking and following keep busy: with no more processors than that, one that decodes would only slow
+these down."""
 LEAST_RATE_HZ = 1e-6
 """A set in eleven days: between rarer ones no stamp could lie."""
 

@@ -111,9 +111,9 @@ _SUFFIXES = {
 _TRANSPORT = re.compile(r"/(compressed|compressedDepth|zstd)$")
 """What image_transport puts behind an image's name for a CompressedImage of it that is read here."""
 _COLOUR_ORDER = ("compressed", "", "zstd")
-"""Of an image's forms, that which it is read from first; empty: as it is."""
+"""Which of an image's transports is read, the preferred one first; empty: the raw image."""
 _DEPTH_ORDER = ("compressedDepth", "", "zstd")
-"""The same of depth, before `compressed`: by its default that is JPEG, which keeps 8 of 16 bits."""
+"""The same for depth. `compressed` comes behind these: by default it is JPEG, which keeps 8 of depth's 16 bits."""
 _ALIGNED_DEPTH = ("aligned_depth", "depth_registered", "depth_to_")
 """In the names of depth that a driver has aligned with the colour image (realsense2_camera, openni2_camera, Azure)."""
 DEPTH_BY_NAME = (
@@ -347,7 +347,7 @@ def info_beside(image: str) -> str:
 
 
 def _info_below(image: str) -> str:
-    """Where it is by ZED's since 5.1: each of its topics has one of its own."""
+    """Where it is with ZED's driver since 5.1, which gives each of its topics a CameraInfo of its own."""
     return without_transport(image) + "/camera_info"
 
 

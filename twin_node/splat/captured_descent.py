@@ -26,7 +26,8 @@ from twin_node.splat.loss import unchecked_loss
 TILE = 16
 """Side of gsplat's tiles, pixels."""
 FEWEST, SPARE, WASTE = 256, 1.25, 3.0
-"""How much room a recording has: so many and so many times what is needed; and how much of it may be too much."""
+"""A new recording has room for `FEWEST` more than `SPARE` times the Gaussians that are needed; one that has room for
+more than `WASTE` times the need and `FEWEST` together is not used."""
 KEPT = 4
 """Recordings that are held: how many Gaussians there are changes slowly."""
 FEWEST_MEETINGS = 1 << 20
@@ -40,7 +41,7 @@ _INT64 = torch.int64
 
 @dataclass(frozen=True)
 class _Setting:
-    """What a recording does not ask again, but for how many Gaussians there are."""
+    """All that a recording is made for, but for how many Gaussians there are."""
 
     device: torch.device
     times: int
