@@ -112,6 +112,10 @@ class LogSession:
         rig, apart = (self.clocks.by_one_clock(self.rig), {}) if takes_all else (self.rig, self.clocks.apart)
         return SynchronizerNode(bus, clock, self.cameras, rig, parameters, joint_names=joint_names, clocks_apart=apart)
 
+    def player(self, bus: Bus) -> Player:
+        """What plays the span onto a bus, its topics under the names that they are published under."""
+        return Player(self.log, bus, self.topics, self.span)
+
     def expected_hz(self, most_hz: float | None) -> float:
         """Sets per second to expect: the fastest camera's images, unless fewer are taken."""
         counts = {topic.name: topic.count for topic in self.log.topics}
@@ -164,7 +168,7 @@ class LogSource:
         self._session.synchronizer(bus, clock, *self._grouping).configure()
         ready: list[FrameSet] = []
         bus.subscribe(FRAMES, ready.append)
-        for _ in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+        for _ in self._session.player(bus).steps(clock):
             for frames in ready:
                 held.add(frames, clock.now())
                 yield frames

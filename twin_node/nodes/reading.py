@@ -13,7 +13,6 @@ from typing import Any, cast
 from twin_node.bag.qos import is_latched
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.log_source import LogSession, LogSource
-from twin_node.nodes.player import Player
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
 from twin_node.runtime.bus import LocalBus
@@ -60,7 +59,7 @@ def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on
     bus.subscribe(FRAMES, on_frames)
     for topic in HANDED_ON:
         bus.subscribe(topic, partial(on_message, topic))
-    yield from Player(session.log, bus, session.topics, session.span).steps(clock, LONGEST_WAIT_S)
+    yield from session.player(bus).steps(clock, LONGEST_WAIT_S)
 
 
 class Reading:

@@ -20,7 +20,6 @@ from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.model import Following
-from twin_node.nodes.player import Player
 from twin_node.nodes.reading import Finished, Order, Reading, play
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
@@ -70,6 +69,17 @@ class Run:
     def is_lockstep(self) -> bool:
         """Whether every set went through in turn, however long it took."""
         return self.rate is None
+
+    @property
+    def work_ms(self) -> list[float]:
+        """From each set's arrival at the chain to the speed decision; in lockstep without the first, which builds the
+        model."""
+        return self.collector.work_ms[1:] if self.is_lockstep else self.collector.work_ms
+
+    @property
+    def latencies_ms(self) -> list[float]:
+        """From each set's newest image to the speed decision; in lockstep, which knows no such time, the work."""
+        return self.work_ms if self.is_lockstep else self.collector.latencies_ms
 
     def missed(self, session: LogSession) -> tuple[str, ...]:
         """A line for each of the log's cameras that most sets had to do without, or its images without their depth; one
@@ -143,7 +153,7 @@ class _Engine:
         latency = Latency(ASSUMED_LATENCY_NS, is_measured=False)
         chain = self._chain(collector, synchronizer.cameras, latency, Following.IN_TURN, lambda: 0)
         begun = time.perf_counter()
-        for stamp in Player(self._session.log, bus, self._session.topics, self._session.span).steps(clock):
+        for stamp in self._session.player(bus).steps(clock):
             chain.model_node.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
         return self._finish(chain, collector, 0, time.perf_counter() - begun, None, None)

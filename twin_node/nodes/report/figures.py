@@ -20,8 +20,6 @@ from twin_node.scene import Separation, Tier
 def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight) -> dict[str, Any]:
     """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why."""
     collector = run.collector
-    work = collector.work_ms[1:] if run.is_lockstep else collector.work_ms  # the model is built from the first set
-    latencies = work if run.is_lockstep else collector.latencies_ms
     counts = collector.tier_counts[-1] if collector.tier_counts else [0] * len(Tier)
     figures: dict[str, Any] = {
         "mode": "lockstep" if run.is_lockstep else "real time",
@@ -30,8 +28,8 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "dropped": run.dropped,
         "scored": None if run.spool is None else len(run.spool),
         "rate_hz": run.sets / run.seconds if run.seconds > 0 else None,
-        "latency_ms": percentiles(latencies),
-        "work_ms": percentiles(work),
+        "latency_ms": percentiles(run.latencies_ms),
+        "work_ms": percentiles(run.work_ms),
         "quality": {**asdict(quality), "left_out": {name: asdict(scores) for name, scores in left_out.items()}},
         "tiers": {tier.name.lower(): counts[tier] for tier in Tier},
         "parameters": run.parameters_count,

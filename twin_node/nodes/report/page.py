@@ -204,11 +204,10 @@ def _methods(foresight: Foresight) -> list[dict[str, Any]]:
 def _curves(run: Run, foresight: Foresight, start: int) -> list[Captioned]:
     collector = run.collector
     seconds = (np.array(collector.stamps) - start) * 1e-9
-    latencies = collector.work_ms[1:] if run.is_lockstep else collector.latencies_ms
-    measured = seconds[len(seconds) - len(latencies) :]
+    measured = seconds[len(seconds) - len(run.latencies_ms) :]
     recalls = np.array(foresight.recalls, dtype=np.float64).reshape(-1, 2)
     recall = pictures.Curve("recall", (recalls[:, 0] - start) * 1e-9, recalls[:, 1])
-    latency = pictures.Curve("latency", measured, np.array(latencies))
+    latency = pictures.Curve("latency", measured, np.array(run.latencies_ms))
     took = ("Latency", "from capture to decision")
     if run.is_lockstep:
         took = ("Work per set", "by the wall clock; without the first, from which the model is built")
