@@ -161,6 +161,36 @@ class FailingSource:
         pass
 
 
+class BusySource(FailingSource):
+    """A camera of which images are lost."""
+
+    cameras = ("cam_left",)
+    lost = 0
+
+    @property
+    def health(self) -> tuple[CameraHealth, ...]:  # type: ignore[override]
+        return (CameraHealth("cam_left", True, "connected", lost=self.lost),)
+
+
+def test_images_that_the_computer_had_no_time_for_are_told_while_they_are_lost() -> None:
+    source, wire, executor = BusySource(), LocalWire(), Executor()
+    bus = WireBus(wire, executor, "cameras", kind_of)
+    setup = Setup("cameras", bus, SystemClock(), executor, {}, "test", lambda: None, wire.endpoints)
+    node, told = CamerasNode(setup, source, RIG), []
+    for lost in (0, 7, 7, 9):
+        source.lost = lost
+        (one,) = node.diagnoses()
+        told.append((one.level, one.message.partition(":")[0]))
+        assert ("lost", str(lost)) in [(reading.key, reading.value) for reading in one.readings]
+    ok, warn = convert.Level.OK, convert.Level.WARN
+    assert told == [
+        (ok, "connected"),
+        (warn, "7 images lost since the last report"),
+        (ok, "connected"),
+        (warn, "2 images lost since the last report"),
+    ]
+
+
 @pytest.mark.parametrize("kind", ["cell", "cameras"])
 def test_a_source_that_fails_ends_its_process(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its thread alone would leave a process that is alive and sends nothing, and that nobody starts again."""

@@ -18,6 +18,8 @@ from twin_node.scene import RigCamera
 
 FOCAL_TOLERANCE = 0.02
 """A rig file whose focal length differs so much from the device's own is named: another lens, mode or device."""
+NO_TIME = "this computer has no time for so many; let the cameras take fewer or smaller ones, or run them elsewhere"
+"""What is told of images that newer ones have replaced on their way."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class CamerasNode(Node):
                 f"{setup.where}: {setup.name}: camera '{unknown[0]}' is not in the rig file, which has "
                 f"{', '.join(self._cameras)}; name it as there, or calibrate it"
             )
+        self._lost = dict.fromkeys(source.cameras, 0)
+        """Of every camera, how many images had been lost by the last report."""
         self._thread = OwnThread("cameras", self._publish_all, setup.finish)
 
     def on_configure(self) -> None:
@@ -86,7 +90,10 @@ class CamerasNode(Node):
             doubt = _doubt(self._cameras[health.camera], calibrations.get(health.camera))
             if health.is_connected and doubt is not None:
                 level, message = convert.Level.WARN, doubt
-            readings = (convert.Reading("reconnections", str(health.reconnections)),)
+            lost, self._lost[health.camera] = health.lost - self._lost[health.camera], health.lost
+            if health.is_connected and lost > 0:
+                level, message = convert.Level.WARN, f"{lost} images lost since the last report: {NO_TIME}"
+            readings = tuple(convert.Reading(name, str(getattr(health, name))) for name in ("reconnections", "lost"))
             found.append(convert.Diagnosis(f"{self.name}: {health.camera}", level, message, readings, health.camera))
         return tuple(found)
 

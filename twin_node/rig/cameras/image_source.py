@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -40,6 +41,8 @@ class CameraHealth:
     message: str
     reconnections: int = 0
     """Times that it was lost and has come back."""
+    lost: int = 0
+    """Images that newer ones have replaced, of whatever camera, before the reader had time for them."""
 
 
 class ImageSource(Protocol):
@@ -67,6 +70,12 @@ class ImageQueue:
         """`size`: images kept while the reader is busy."""
         self._waiting: queue.Queue[CameraImage] = queue.Queue(size)
         self.closed = threading.Event()
+        self._lost: Counter[str] = Counter()
+        self._counting = threading.Lock()
+
+    def lost(self, camera: str) -> int:
+        """Images of a camera that the reader had no time for; from any thread."""
+        return self._lost[camera]
 
     def put(self, image: CameraImage) -> None:
         """Takes an image, from any thread."""
@@ -75,7 +84,9 @@ class ImageQueue:
                 self._waiting.put_nowait(image)
                 return
             with suppress(queue.Empty):
-                self._waiting.get_nowait()
+                oldest = self._waiting.get_nowait()
+                with self._counting:
+                    self._lost[oldest.camera] += 1
 
     def __iter__(self) -> Iterator[CameraImage]:
         """Images until `closed` is set."""

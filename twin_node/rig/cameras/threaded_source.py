@@ -6,6 +6,7 @@ import threading
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Generic, Protocol, TypeVar
 
 from twin_node.rig.cameras.image_source import CameraHealth, CameraImage, ImageQueue
@@ -50,7 +51,7 @@ class ThreadedSource(ABC, Generic[C]):
     @property
     def health(self) -> tuple[CameraHealth, ...]:
         """How every camera is doing."""
-        return tuple(self._health[name] for name in self.cameras)
+        return tuple(replace(self._health[name], lost=self._queue.lost(name)) for name in self.cameras)
 
     def images(self) -> Iterator[CameraImage]:
         """Images as they come, until the source is closed."""
