@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -164,6 +165,24 @@ def test_a_transition_that_fails_is_an_error(node: Obedient, capsys: pytest.Capt
     node.refuses = True
     [line] = printed(capsys, "lifecycle", "set", "twin", "deactivate", status=2)
     assert line == "twin_node: error: /twin could not deactivate; its log and 'twin_node doctor' say why"
+
+
+@pytest.mark.parametrize("command", ["get", "describe"])
+def test_another_program_that_answers_less_than_was_asked_is_told(
+    node: Obedient, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """rclcpp leaves all values out where it has not one of them by now."""
+    whole = asking.ServiceClient.ask
+
+    def forgetful(self: Any, name: str, *more: Any, **fields: Any) -> Any:
+        answer = whole(self, name, *more, **fields)
+        if name.endswith("/get_parameters"):
+            answer.values = []
+        return answer
+
+    monkeypatch.setattr(asking.ServiceClient, "ask", forgetful)
+    [line] = printed(capsys, "param", command, "twin", "grid.voxel_size", status=2)
+    assert line == "twin_node: error: /twin: expected an answer about each of 1 parameters, found 0"
 
 
 def test_without_a_graph_nobody_can_be_asked(

@@ -118,15 +118,15 @@ class Asking:
             if name not in known:
                 raise GraphError(f"{node} has no parameter '{name}'; {_meant(node, name, known)}")
         answer = self._ask(node, "get_parameters", "rcl_interfaces/srv/GetParameters", names=list(names))
-        return dict(zip(names, map(value_of, answer.values), strict=True))
+        return dict(zip(names, map(value_of, _each(node, names, answer.values)), strict=True))
 
     def described(self, node: str, names: Sequence[str]) -> list[Described]:
         """What a node says of its parameters. Raises `GraphError` for one that it has not."""
         values = self.values(node, names)
         answer = self._ask(node, "describe_parameters", "rcl_interfaces/srv/DescribeParameters", names=list(names))
+        told = zip(names, _each(node, names, answer.descriptors), strict=True)
         return [
-            Described(one.name, _kind(one.type), values[one.name], one.description, bool(one.read_only))
-            for one in answer.descriptors
+            Described(name, _kind(one.type), values[name], one.description, bool(one.read_only)) for name, one in told
         ]
 
     def _ask(self, node: str, name: str, kind: str, patience_s: float = PATIENCE_S, **fields: object) -> Message:
@@ -176,6 +176,13 @@ def _structured(value: Any) -> Any:
         with contextlib.suppress(ValueError):
             return json.loads(value)
     return value
+
+
+def _each(node: str, names: Sequence[str], answers: Sequence[Message]) -> Sequence[Message]:
+    """The answers about parameters, one each. Raises `GraphError` where another program gives fewer, or more."""
+    if len(answers) != len(names):
+        raise GraphError(f"{node}: expected an answer about each of {len(names)} parameters, found {len(answers)}")
+    return answers
 
 
 def _meant(node: str, name: str, known: Sequence[str]) -> str:
