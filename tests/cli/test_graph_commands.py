@@ -27,6 +27,7 @@ from twin_node.yaml_file import parse_yaml, yaml_text
 
 pytest.importorskip("zenoh")
 
+PATIENCE_S = 60.0
 GOALS = {
     Transition.DEACTIVATE: LifecycleState.INACTIVE,
     Transition.ACTIVATE: LifecycleState.ACTIVE,
@@ -66,7 +67,9 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Obedient]:
         serve_parameters(wire, "twin", parameters_of({"use_sim_time": False, **twin_parameters(ChainParameters())}))
         serve_lifecycle(wire, "twin", found)
         with asking.Asking() as graph:
+            until = time.monotonic() + PATIENCE_S
             while not _is_known(graph):
+                assert time.monotonic() < until, "the graph does not know of its nodes"
                 time.sleep(0.01)
         yield found
 

@@ -161,24 +161,14 @@ class FailingSource:
         pass
 
 
-class BusySource(FailingSource):
-    """A camera of which images are lost."""
-
-    cameras = ("cam_left",)
-    lost = 0
-
-    @property
-    def health(self) -> tuple[CameraHealth, ...]:  # type: ignore[override]
-        return (CameraHealth("cam_left", True, "connected", lost=self.lost),)
-
-
 def test_images_that_the_computer_had_no_time_for_are_told_while_they_are_lost() -> None:
-    source, wire, executor = BusySource(), LocalWire(), Executor()
+    source, wire, executor = FailingSource(), LocalWire(), Executor()
+    source.cameras = ("cam_left",)
     bus = WireBus(wire, executor, "cameras", kind_of)
     setup = Setup("cameras", bus, SystemClock(), executor, {}, "test", lambda: None, wire.endpoints)
     node, told = CamerasNode(setup, source, RIG), []
     for lost in (0, 7, 7, 9):
-        source.lost = lost
+        source.health = (CameraHealth("cam_left", True, "connected", lost=lost),)
         (one,) = node.diagnoses()
         told.append((one.level, one.message.partition(":")[0]))
         assert ("lost", str(lost)) in [(reading.key, reading.value) for reading in one.readings]

@@ -255,6 +255,8 @@ def test_humble_is_spoken_to_without_hashes(zenoh_router: ZenohParameters) -> No
             break
         old.executor.step(0.1)
     [endpoint] = humble.endpoints()
+    old.bus.declare("/unknown", TopicKind("of_others/msg/Unknown"))
+    old.bus.subscribe_raw("/unknown", old.seen.append)  # whose hash nobody could tell
     humble.close()
     assert endpoint.type_hash == HUMBLE_HASH
 

@@ -17,18 +17,18 @@ def add_param(commands: Any) -> None:
     )
     kinds = param.add_subparsers(metavar="COMMAND", required=True)
     listed = kinds.add_parser("list", help="their names")
-    listed.add_argument("node", nargs="?", metavar="NODE", help="such as twin; without it all nodes")
+    _add_node(listed, is_optional=True)
     listed.set_defaults(run=_list)
     got = kinds.add_parser("get", help="the value of one")
-    got.add_argument("node", metavar="NODE")
+    _add_node(got)
     got.add_argument("name", metavar="NAME", help="such as grid.voxel_size")
     got.set_defaults(run=_get)
     described = kinds.add_parser("describe", help="type, value and meaning, of all or of some")
-    described.add_argument("node", metavar="NODE")
+    _add_node(described)
     described.add_argument("names", nargs="*", metavar="NAME")
     described.set_defaults(run=_describe)
     dumped = kinds.add_parser("dump", help="all of them as a parameter file, for --params-file")
-    dumped.add_argument("node", metavar="NODE")
+    _add_node(dumped)
     dumped.add_argument("-o", "--output", type=Path, metavar="FILE", help="write there (default: print)")
     dumped.set_defaults(run=_dump)
 
@@ -44,15 +44,24 @@ def add_lifecycle(commands: Any) -> None:
     )
     kinds = lifecycle.add_subparsers(metavar="COMMAND", required=True)
     got = kinds.add_parser("get", help="the state of a node, or of all")
-    got.add_argument("node", nargs="?", metavar="NODE", help="such as twin; without it all nodes")
+    _add_node(got, is_optional=True)
     got.set_defaults(run=_state)
     listed = kinds.add_parser("list", help="which transitions a node may go through now")
-    listed.add_argument("node", metavar="NODE")
+    _add_node(listed)
     listed.set_defaults(run=_transitions)
     changed = kinds.add_parser("set", help="lead a node through a transition")
-    changed.add_argument("node", metavar="NODE")
+    _add_node(changed)
     changed.add_argument("transition", metavar="TRANSITION", help="configure, activate, deactivate, cleanup, shutdown")
     changed.set_defaults(run=_change)
+
+
+def _add_node(parser: argparse.ArgumentParser, is_optional: bool = False) -> None:
+    """Adds the node that a command is about; without one, where it may be left out, it is about all."""
+    name = "such as twin"
+    if is_optional:
+        parser.add_argument("node", nargs="?", metavar="NODE", help=f"{name}; without it all nodes")
+    else:
+        parser.add_argument("node", metavar="NODE", help=name)
 
 
 def _list(options: argparse.Namespace) -> None:

@@ -90,6 +90,7 @@ _MESSAGE_TYPES = {
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
     OCCUPIED_POINTS: TopicKind("sensor_msgs/msg/PointCloud2", NEWEST),
     COLLISION_OBJECT: TopicKind("moveit_msgs/msg/CollisionObject"),
+    # A console without room for a line goes without it, and holds no node up.
     ROSOUT: TopicKind("rcl_interfaces/msg/Log", Qos(depth=100, latched=True, repeats=True)),
     TRUTH_OCCUPANCY: TopicKind("twin_msgs/msg/OccupancyForecast"),
     FRAMES: TopicKind(None, FRESH),

@@ -71,9 +71,14 @@ class ZenohParameters:
         for endpoint in (self.endpoint, *filter(None, self.routers)):
             _check_port(endpoint)
 
+    @property
+    def speaks_hashes(self) -> bool:
+        """Whether keys and tokens hold the hashes of types."""
+        return self.ros_distro != "humble"
+
     def spoken(self, type_hash: str) -> str:
         """What stands for a type's hash in keys and tokens."""
-        return HUMBLE_HASH if self.ros_distro == "humble" else type_hash
+        return type_hash if self.speaks_hashes else HUMBLE_HASH
 
     @property
     def domain_id(self) -> int:

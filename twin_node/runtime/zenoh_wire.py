@@ -19,6 +19,7 @@ from twin_node.messages.services import ServiceType
 from twin_node.runtime.qos import RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import (
     ADMIN_SPACE,
+    HUMBLE_HASH,
     Attachment,
     Endpoint,
     EntityKind,
@@ -122,7 +123,7 @@ class ZenohWire:
         return cancel
 
     def endpoints(self) -> tuple[Endpoint, ...]:
-        """Publishers and subscribers of the domain that are alive, as far as this session has been told.
+        """What nodes of the domain send, hear, serve and ask, as far as this session has been told.
 
         It is told from the first call on; sessions on other hosts take a round trip to be seen.
         """
@@ -213,10 +214,12 @@ class ZenohWire:
         return identity
 
     def _hash_of(self, kind: TopicKind, message: Any = None) -> str:
+        if not self._parameters.speaks_hashes:
+            return HUMBLE_HASH  # of types that are not known here, too
         if kind.type_hash is not None:
-            return self._parameters.spoken(kind.type_hash)
+            return kind.type_hash
         types = message.types if isinstance(message, Encoded) else builtin_types()
-        return self._parameters.spoken(types.type_hash(kind.msgtype or ""))
+        return types.type_hash(kind.msgtype or "")
 
     def _announce(self, token: str) -> Any:
         return self._keep(self._session.liveliness().declare_token(token))

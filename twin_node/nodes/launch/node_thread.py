@@ -74,7 +74,7 @@ class NodeThread:
         """What was last said of the node's subscriptions."""
         self._node: Node | None = None
         self._is_deaf = False
-        """Whether the node was deactivated while the graph goes on: it hears nothing till it begins anew."""
+        """Whether the node was led to be inactive while the graph goes on: it hears nothing till it begins anew."""
         self._parameters: dict[str, Parameter] = {}
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -157,8 +157,8 @@ class NodeThread:
             self.has_begun = True
 
     def _remake(self) -> None:
-        if self._node is None:
-            return
+        if self._node is None or self._is_deaf:
+            return  # it begins anew when it is activated
         is_active = self._made.state is LifecycleState.ACTIVE
         self._forget()
         self._begin()
@@ -200,6 +200,7 @@ class NodeThread:
     def _go(self, transition: Transition) -> None:
         if transition is Transition.CONFIGURE:
             self._begin()
+            self._rest()
         elif transition is Transition.CLEANUP:
             self._forget()
         elif transition is Transition.ACTIVATE:
@@ -209,12 +210,16 @@ class NodeThread:
             self._activate()
         elif transition is Transition.DEACTIVATE:
             self._made.deactivate()
-            self._bus.close()
-            self._executor.clear_timers()
-            self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
-            self._is_deaf = True
+            self._rest()
         else:
             self._finish()
+
+    def _rest(self) -> None:
+        """Leaves a node that is inactive nothing to do, for there are some that work on whatever they hear."""
+        self._bus.close()
+        self._executor.clear_timers()
+        self._executor.every(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        self._is_deaf = True
 
     def _tell(self, line: str) -> None:
         """Tells the user a line, and whoever reads `/rosout`; from any thread."""
@@ -236,11 +241,14 @@ class NodeThread:
         self._on_end()
 
     def _diagnose(self) -> None:
-        before, self._told = self._told, self._bus.traffic
-        own = (_traffic_diagnosis(self.name, self._told, before), *self._made.diagnoses())
         if self._is_deaf:
-            told = f"deactivated; 'twin_node lifecycle set /{self.name} activate' lets it begin anew"
-            own = (convert.Diagnosis(f"{self.name}: lifecycle", convert.Level.WARN, told),)
+            told = f"inactive; 'twin_node lifecycle set /{self.name} activate' lets it begin anew"
+            own: tuple[convert.Diagnosis, ...] = (
+                convert.Diagnosis(f"{self.name}: lifecycle", convert.Level.WARN, told),
+            )
+        else:
+            before, self._told = self._told, self._bus.traffic
+            own = (_traffic_diagnosis(self.name, self._told, before), *self._made.diagnoses())
         self._bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(self._clock.now(), own))
 
 

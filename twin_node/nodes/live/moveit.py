@@ -27,6 +27,7 @@ class MoveItParameters:
     """Shortest time between two tellings, s: the planning scene makes its shapes anew with each."""
 
     def __post_init__(self) -> None:
+        """Raises `TwinError` for a kind that there is not, and for a period that none is."""
         known = [kind.name.lower() for kind in ObstacleKind]
         for kind in self.kinds:
             if kind not in known:

@@ -39,7 +39,7 @@ class Setup:
     finish: Callable[[], None]
     """The node calls this when it has nothing more to do."""
     endpoints: Callable[[], tuple[Endpoint, ...]]
-    """Publishers and subscribers of the whole graph, as far as they are known by now."""
+    """What nodes of the whole graph send, hear, serve and ask, as far as it is known by now."""
     say: Callable[[str], None] = _print
     """Tells the user something, in a line."""
     kept: Path | None = None

@@ -52,6 +52,7 @@ class SpeedScalingParameters:
     """How often the controller is told while its speed changes."""
 
     def __post_init__(self) -> None:
+        """Raises `TwinError` for a name that no controller has, and for a rate out of range."""
         check_ranges(self, TwinError, "", rate_hz=Range(1, 1000))
         if not is_topic_name(self.topic):
             raise TwinError(
