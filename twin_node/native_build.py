@@ -10,6 +10,7 @@ import atexit
 import hashlib
 import os
 import platform
+import re
 import shlex
 import shutil
 import signal
@@ -38,6 +39,13 @@ _NEEDED_FLAGS = {
     "x86-64-v2": {"sse4_1", "sse4_2", "ssse3", "popcnt", "cx16"},
 }
 """Names of /proc/cpuinfo (System V ABI for AMD64, table 3.1); a level needs those of the levels below it too."""
+
+_FAULTY = re.compile(r"\) 13\.[0-2]\.[0-9]+")
+"""In the first line that GCC says of its version: 13.0 to 13.2, which took arrays on the stack to be aligned for the
+vectors that are left over at a loop's end. What it compiled so ended with SIGSEGV on AVX-512 (13.2.0 of Ubuntu 24.04;
+13.3.0 does not)."""
+_FOR_FAULTY = ("--param=vect-epilogues-nomask=0",)
+"""No vectors at a loop's end."""
 
 COMPILE_TIMEOUT_S = 300
 """A slow single-board computer takes about a minute."""
@@ -138,8 +146,8 @@ class KernelSources(NamedTuple):
         Raises `CompileError`.
         """
         compiler = find_compiler()
-        version = _run([*compiler, "--version"]).partition("\n")[0]
-        told = shlex.join(compiler[1:])
+        version = _version_of(compiler)
+        told = shlex.join((*compiler[1:], *_amends(version)))
         key = hashlib.sha256(f"{self.source_hash(variant)} {told} {version}".encode()).hexdigest()[:12]
         folder, name = _cache_folder(), f"lib{self.name}-{variant}-{key}.so"
         if folder is None or not (os.access(folder, os.W_OK) or (_is_trusted(folder / name) and not anew)):
@@ -155,7 +163,9 @@ class KernelSources(NamedTuple):
 
     def compile(self, variant: str, to: Path, compiler: Sequence[str] = ()) -> None:
         """Compiles one variant to the file `to`, which appears whole or not at all. Raises `CompileError`."""
-        _compile(self.folder / "library.cpp", variant, to, compiler or find_compiler())
+        compiler = compiler or find_compiler()
+        flags = (*flags_of(variant), *_amends(_version_of(compiler)))
+        _compile(self.folder / "library.cpp", flags, to, compiler)
 
 
 SPLAT = KernelSources("splat", Path(__file__).resolve().parent / "splat" / "native")
@@ -169,12 +179,22 @@ CELL = KernelSources("cell", Path(__file__).resolve().parent / "cell" / "native"
 ROOMS = (SPLAT, FORECAST, MODEL, CELL)
 
 
-def _compile(source: Path, variant: str, to: Path, compiler: Sequence[str]) -> None:
+def _version_of(compiler: Sequence[str]) -> str:
+    """The first line of what a compiler says of its version."""
+    return _run([*compiler, "--version"]).partition("\n")[0]
+
+
+def _amends(version: str) -> tuple[str, ...]:
+    """What a compiler of this version is told besides, since it would else compile wrongly."""
+    return _FOR_FAULTY if _FAULTY.search(version) else ()
+
+
+def _compile(source: Path, flags: Sequence[str], to: Path, compiler: Sequence[str]) -> None:
     to.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(suffix=".so", dir=to.parent)
     os.close(handle)
     try:
-        _run([*compiler, *flags_of(variant), str(source), "-o", scratch])
+        _run([*compiler, *flags, str(source), "-o", scratch])
         Path(scratch).chmod(0o755)
         _flush(Path(scratch))
         Path(scratch).replace(to)

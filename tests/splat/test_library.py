@@ -83,6 +83,40 @@ def test_a_compiler_may_be_told_with_arguments(tiny: KernelSources, monkeypatch:
     assert "-DMINE=1" in wrapper.with_name("ccache.log").read_text().splitlines()[-1].split()
 
 
+@pytest.mark.parametrize(
+    ("version", "is_faulty"),
+    [
+        ("g++ (Ubuntu 13.2.0-23ubuntu4) 13.2.0", True),
+        ("c++ (GCC) 13.2.1 20240316 (Red Hat 13.2.1-7)", True),
+        ("g++-13 (Homebrew GCC 13.1.0) 13.1.0", True),
+        ("g++ (Ubuntu 13.3.0-6ubuntu2~24.04.1) 13.3.0", False),
+        ("g++ (Debian 12.2.0-14) 12.2.0", False),
+        ("g++ (Debian 14.2.0-19) 14.2.0", False),
+        ("Debian clang version 13.0.1-6~deb11u1", False),
+    ],
+)
+def test_a_compiler_that_takes_arrays_to_be_aligned_is_told_not_to(
+    tiny: KernelSources, monkeypatch: pytest.MonkeyPatch, version: str, is_faulty: bool
+):
+    """What it had compiled before it was told is not loaded any more."""
+    compiler = shlex.join(native_build.find_compiler())
+    driver = tiny.folder.parent / "driver"
+    driver.write_text(
+        f'#!/bin/sh\n[ "$1" = --version ] && echo {shlex.quote(version)} && exit\n'
+        f'for told; do [ "$told" = --param=vect-epilogues-nomask=0 ] && touch "$0.told"; done\n'
+        f'exec {compiler} "$@"\n'
+    )
+    driver.chmod(0o755)
+    monkeypatch.setenv("CXX", str(driver))
+    library, was_told = tiny.cached_library("baseline"), driver.with_name("driver.told")
+    assert was_told.exists() is is_faulty
+    was_told.unlink(missing_ok=True)
+    tiny.compile("baseline", tiny.folder.parent / "tiny.so")
+    assert was_told.exists() is is_faulty, "those of a wheel too"
+    monkeypatch.setattr(native_build, "_FOR_FAULTY", ())
+    assert (tiny.cached_library("baseline") != library) is is_faulty
+
+
 def test_a_compiler_whose_path_has_blanks_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     program = tmp_path / "my tools" / "g++"
     program.parent.mkdir()
