@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from fake_link import START
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, UrParameters
-from twin_node.arm.ur.link import RtdeLink
+from twin_node.arm.ur.link import RtdeLink, load_ur_rtde
 
 
 def link_of(mode: DriverMode = DriverMode.SLIDER, **interfaces: object) -> RtdeLink:
@@ -223,3 +224,22 @@ def test_a_link_that_is_half_gone_is_closed_all_the_same() -> None:
     )
     link.close()
     assert closed == ["receive"]
+
+
+@pytest.mark.parametrize(
+    ("version", "words"),
+    [
+        ((3, 11, 2), "pip install ur-rtde"),
+        ((3, 12, 3), "pip install ur-rtde"),
+        ((3, 13, 5), r"up to 3\.12, and this is 3\.13: .*speed_scaling"),
+        ((3, 14, 4), r"up to 3\.12, and this is 3\.14: .*speed_scaling"),
+    ],
+)
+def test_who_has_no_ur_rtde_is_told_how_to_drive_the_arm(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], words: str
+) -> None:
+    """There are no packages of it for later versions of Python, so that pip would try to build it, and fail."""
+    monkeypatch.setitem(sys.modules, "rtde_receive", None)
+    monkeypatch.setattr(sys, "version_info", version)
+    with pytest.raises(ArmError, match=words):
+        load_ur_rtde()

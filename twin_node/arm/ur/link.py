@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import re
 import socket
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -300,4 +301,14 @@ def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ArmError("ur_rtde is not installed; install it with: pip install ur-rtde") from error
+        raise ArmError(f"ur_rtde is not installed; {_how_to_get_it()}") from error
+
+
+def _how_to_get_it() -> str:
+    if sys.version_info < (3, 13):
+        return "install it with: pip install ur-rtde"
+    version = ".".join(map(str, sys.version_info[:2]))
+    return (
+        f"its packages are for Python up to 3.12, and this is {version}: drive the arm with one of these (a launch on "
+        "this machine can be joined), have ros2_control do it (node speed_scaling), or build ur_rtde from its source"
+    )
