@@ -227,19 +227,20 @@ def test_a_link_that_is_half_gone_is_closed_all_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "words"),
+    ("version", "machine", "words"),
     [
-        ((3, 11, 2), "pip install ur-rtde"),
-        ((3, 12, 3), "pip install ur-rtde"),
-        ((3, 13, 5), r"up to 3\.12, and this is 3\.13: .*speed_scaling"),
-        ((3, 14, 4), r"up to 3\.12, and this is 3\.14: .*speed_scaling"),
+        ((3, 11, 2), "x86_64", "pip install ur-rtde"),
+        ((3, 12, 3), "AMD64", "pip install ur-rtde"),
+        ((3, 13, 5), "x86_64", r"this is 3\.13 on x86_64: .*speed_scaling"),
+        ((3, 11, 2), "aarch64", r"this is 3\.11 on aarch64: .*speed_scaling"),
     ],
 )
 def test_who_has_no_ur_rtde_is_told_how_to_drive_the_arm(
-    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], words: str
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], machine: str, words: str
 ) -> None:
-    """There are no packages of it for later versions of Python, so that pip would try to build it, and fail."""
+    """Where there are no packages of it pip would try to build it, and fail."""
     monkeypatch.setitem(sys.modules, "rtde_receive", None)
     monkeypatch.setattr(sys, "version_info", version)
+    monkeypatch.setattr("platform.machine", lambda: machine)
     with pytest.raises(ArmError, match=words):
         load_ur_rtde()

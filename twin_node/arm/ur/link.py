@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import platform
 import re
 import socket
 import sys
@@ -305,10 +306,13 @@ def _module(name: str) -> Any:
 
 
 def _how_to_get_it() -> str:
-    if sys.version_info < (3, 13):
+    """As `pyproject.toml` says where there are packages of it."""
+    machine = platform.machine()
+    if sys.version_info < (3, 13) and machine.lower() in ("x86_64", "amd64"):
         return "install it with: pip install ur-rtde"
     version = ".".join(map(str, sys.version_info[:2]))
     return (
-        f"its packages are for Python up to 3.12, and this is {version}: drive the arm with one of these (a launch on "
-        "this machine can be joined), have ros2_control do it (node speed_scaling), or build ur_rtde from its source"
+        f"its packages are for Python up to 3.12 on x86_64, and this is {version} on {machine}: drive the arm from "
+        "such an environment (a launch can be joined from there), have ros2_control do it (node speed_scaling), or "
+        "build ur_rtde from its source"
     )
