@@ -7,6 +7,7 @@ import sysconfig
 from pathlib import Path
 
 from twin_node.errors import TwinError
+from twin_node.paths import is_there
 
 FOLDERS = ("launch", "sim", "calibration")
 """Data folders with files that users name."""
@@ -50,6 +51,6 @@ def _namesakes(path: Path) -> list[str]:
 def _is_there(path: Path) -> bool:
     """Whether something is there, or nobody may look: who opens it is told why not."""
     try:
-        return path.exists()
+        return is_there(path)
     except OSError:
         return True

@@ -63,6 +63,7 @@ def test_replay(cell_log: Callable[..., Path], tmp_path: Path) -> None:
 
 
 def test_sim_cell_with_a_driver_and_its_controller(tmp_path: Path) -> None:
+    pytest.importorskip("rtde_io", reason="ur_rtde is not installed")
     plan = read_launch_file("launch/sim_cell.yaml", [f"host:={free_loopback()}"], [*QUICK, "size.name:=auto"])
     decides(plan, tmp_path, free_endpoint())
 

@@ -19,6 +19,7 @@ from twin_node.bag.mcap_records import library_of
 from twin_node.bag.mcap_stream import Announced, McapStream
 from twin_node.bag.qos import is_latched, profile, stored
 from twin_node.messages import Message, builtin_types, serialize
+from twin_node.paths import is_there
 from twin_node.unfinished import partial_of, taken, unwritable
 
 LIBRARY = "twin_node"
@@ -63,7 +64,7 @@ class LogWriter:
         self._topics: dict[str, str] = {}
         self._closed = False
         try:
-            if not self.path.parent.is_dir():
+            if not (is_there(self.path.parent) and self.path.parent.is_dir()):
                 raise BagError(f"{self.path}: folder {self.path.parent} does not exist; create it first")
             self._sink = _open_sink(self.path, CompressionType[compression.upper()], recorded)
         except OSError as error:

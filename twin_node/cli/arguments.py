@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from twin_node.cli.parser import at_home
 from twin_node.errors import TwinError
+from twin_node.paths import is_there
 from twin_node.ranges import NOT_NEGATIVE, PORTS, POSITIVE, WIDTHS_PX, Range
 from twin_node.unfinished import is_taken, refuse_taken, taken
 
@@ -180,7 +181,7 @@ def folder_to_write(text: str) -> Path:
 
 def in_the_way(folder: Path) -> Path | None:
     """What keeps a folder from being made, or files from being written to it; None where nothing does."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    there = next(path for path in (folder, *folder.absolute().parents) if is_there(path))
     return None if there.is_dir() and os.access(there, os.W_OK) else there
 
 
@@ -203,7 +204,7 @@ _WRITABLE = "expected the name of a file in a folder that exists and can be writ
 
 
 def _is_writable(path: Path) -> bool:
-    return not path.is_dir() and path.parent.is_dir() and os.access(path.parent, os.W_OK)
+    return not (is_there(path) and path.is_dir()) and path.parent.is_dir() and os.access(path.parent, os.W_OK)
 
 
 def refuse_given(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
