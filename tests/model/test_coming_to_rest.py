@@ -22,6 +22,7 @@ from twin_node.model.sweep import shell_around
 from twin_node.scene import Float64, Tier
 
 ORIGIN = torch.zeros(3, dtype=torch.float64)
+SECOND_NS = 1_000_000_000
 GROUP = 7
 """Id of the node that something at rest had."""
 
@@ -83,6 +84,10 @@ def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_somet
     carriers = np.array([0, 0, 1, -1])
 
     def asked(stamp: int, *still: bool) -> list[bool]:
+        """With a set every second in between, of which all of it keeps still."""
+        for between in range(nodes.stamp + SECOND_NS, stamp, SECOND_NS):
+            nodes.stamp = between
+            resting.has_kept_still(carriers, np.ones(4, bool))
         nodes.stamp = stamp
         return list(map(bool, resting.has_kept_still(carriers, np.array(still))))
 
@@ -92,6 +97,20 @@ def test_what_a_node_carries_has_kept_still_once_none_of_it_has_lain_where_somet
     assert asked(2 + STANDS_NS, True, True, True, True) == [False, False, True, False]
     assert asked(3 + STANDS_NS, True, True, True, True) == [True, True, True, False]
     assert asked(4 + STANDS_NS, False, True, True, True) == [False, False, True, False]
+
+
+def test_time_without_sets_does_not_count_as_having_kept_still() -> None:
+    """Who was there may have gone meanwhile: what is left of them would stand where nobody is."""
+    nodes, carriers, still = Nodes(4, 4), np.array([0]), np.ones(1, bool)
+    nodes.give_birth(ORIGIN, ORIGIN)
+    resting = Resting(Gaussians(4, torch.device("cpu")), nodes, Backgrounds(None, shell_around(CAMERAS, 2.5)))
+    assert not resting.has_kept_still(carriers, still)
+    nodes.stamp += 3 * STANDS_NS
+    assert not resting.has_kept_still(carriers, still)
+    for _ in range(round(STANDS_NS / SECOND_NS)):
+        nodes.stamp += SECOND_NS
+        kept = resting.has_kept_still(carriers, still)
+    assert kept
 
 
 class AtRest:

@@ -62,6 +62,10 @@ class Cell:
         view = View(CAMERA, self._tick * STEP_NS, rgb, depth if self._has_depth else None)
         return self._mask.update(FrameSet(view.stamp, (view,)), [robot])[0]
 
+    def pause(self, seconds: float) -> None:
+        """No images come for so long."""
+        self._tick += round(seconds * 1e9 / STEP_NS)
+
     def rested(self, change: Change | None = None) -> Bool:
         """The mask once the thing has stood for long."""
         return [self.show(change) for _ in range(COMING + STILL)][-1]
@@ -73,6 +77,24 @@ def test_what_was_put_down_is_in_the_mask_until_it_has_stood_for_long() -> None:
     soon = masks[COMING + STILL - 20]
     assert soon[PLACE].mean() > 0.95
     assert not masks[-1].any()
+
+
+def test_time_without_images_does_not_count_as_having_stood() -> None:
+    """Who stood there may have turned to something else and back."""
+    cell = Cell()
+    for _ in range(COMING + STILL // 2):
+        cell.show()
+    cell.pause(30)
+    masks = [cell.show() for _ in range(STILL // 2 + 30)]
+    assert min(mask[PLACE].mean() for mask in masks[: STILL // 2 - 30]) > 0.95
+    assert not masks[-1].any(), "what it has stood before and after counts"
+
+
+def test_what_has_stood_for_long_still_stands_after_a_time_without_images() -> None:
+    cell = Cell()
+    assert not cell.rested().any()
+    cell.pause(30)
+    assert not any(cell.show().any() for _ in range(5))
 
 
 def test_it_is_in_it_again_as_a_whole_with_the_first_image_that_shows_it_otherwise() -> None:

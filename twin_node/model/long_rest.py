@@ -13,6 +13,9 @@ from twin_node.scene import Bool, Float32, View
 STANDS_NS = 20_000_000_000
 """How long a thing must have looked the same, ns: longer than people keep as still as that, a hand on a table too, and
 than most things wait that are moved again; as long as what has moved is given room to start."""
+MOST_UNSEEN_NS = 1_000_000_000
+"""From one image to the next no more of the time counts, ns: what nobody has looked at for longer may have moved
+meanwhile, and look again as it did."""
 LOOK_NS = 500_000_000
 """Time between two looks for what has come to rest, ns, each at two images in a row: what turns may look the same at
 every look. What has come to rest is looked at in every image."""
@@ -52,6 +55,7 @@ class LongRest:
         if self._shown is None:
             self._shown = _Shown(stamp, image, view.depth)
             return mask
+        self._shown.skip(unseen_ns(camera.past[-2][0], stamp))
         if not (self._stands or self._looks_again or stamp - self._shown.looked_at >= LOOK_NS):
             return mask
         self._looks_again = not self._looks_again
@@ -62,6 +66,11 @@ class LongRest:
             return mask
         self._shown.renew(standing)
         return mask & ~standing
+
+
+def unseen_ns(before: int, now: int) -> int:
+    """How much of the time (ns) from one image, or set, to the next does not count as having kept still."""
+    return max(now - before - MOST_UNSEEN_NS, 0)
 
 
 class _Shown:
@@ -79,6 +88,11 @@ class _Shown:
     def rests(self) -> Bool:
         """[H, W] what has shown the same for long."""
         return np.asarray(self.looked_at - self._since > STANDS_NS)
+
+    def skip(self, unseen: int) -> None:
+        """What does not rest yet has done so for no longer by a time (ns) in which nobody has looked."""
+        if unseen:
+            self._since[~self.rests] += unseen
 
     def look(self, stamp: int, image: Float32, camera: CameraMask, depth: Float32 | None, seen: Bool) -> None:
         """Takes in an image [3, H, W] and its depth, where they are `seen` [H, W]."""

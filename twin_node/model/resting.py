@@ -15,7 +15,7 @@ from twin_node.model.births import Births
 from twin_node.model.chosen import rows_where
 from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import RGB, Gaussians
-from twin_node.model.long_rest import STANDS_NS
+from twin_node.model.long_rest import STANDS_NS, unseen_ns
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed
 from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
@@ -44,7 +44,10 @@ class Resting:
         self._rested_s: dict[int, float] = {}
         """Seconds for which each node, by its id, has rested."""
         self._stirred_at: dict[int, int] = {}
-        """Stamp (ns) at which each node, by its id, last carried something that lay where something moves."""
+        """Stamp (ns) at which each node, by its id, last carried something that lay where something moves; later by
+        what nobody has seen of the time since."""
+        self._asked_at: int | None = None
+        """Stamp (ns) of the set that was asked about last."""
 
     def settle(self, resting: Mapping[int, LogEvidence], dt_s: float) -> Sequence[Decision]:
         """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end."""
@@ -68,9 +71,12 @@ class Resting:
         `still` [n] says which does not now. What hides it may be what it is part of, which stands by now.
         """
         stamp, ids = self._nodes.stamp, np.where(carriers >= 0, self._nodes.ids.numpy()[carriers], -1)
+        unseen = 0 if self._asked_at is None else unseen_ns(self._asked_at, stamp)
+        self._asked_at = stamp
+        stirred_at = {node: at + unseen for node, at in self._stirred_at.items()}
         stirred = set(ids[~still].tolist())
         self._stirred_at = {
-            node: stamp if node in stirred else self._stirred_at.get(node, stamp) for node in np.unique(ids).tolist()
+            node: stamp if node in stirred else stirred_at.get(node, stamp) for node in np.unique(ids).tolist()
         }
         kept = [node for node, at in self._stirred_at.items() if node >= 0 and stamp - at > STANDS_NS]
         return np.isin(ids, kept)
