@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from twin_node.forecast.bound import (
     CUES,
     LARGEST_RADIUS,
+    LEAST,
     LEAST_FACTOR,
     MOST_FACTOR,
     Bound,
@@ -19,6 +20,7 @@ from twin_node.forecast.bound import (
     Expected,
     cues,
 )
+from twin_node.forecast.measured import most_astray
 
 PERIOD = 1 / 30
 HORIZON = 0.2
@@ -98,6 +100,49 @@ def test_who_erred_much_long_ago_is_expected_to_err_as_of_late() -> None:
         found.append(bound.scales(now))
     assert found[100][0] < found[100][-1]
     assert found[-1][0] > found[-1][-1]
+
+
+def test_a_gesture_or_two_later_the_bound_has_forgotten_what_erred_more() -> None:
+    """Of nine in ten errors that are to be held, the larger ones of before are a tenth after 4 to 5 s."""
+    bound, now, radii = Bound(BoundParameters(coverage=0.9)), like(np.full(20, 0.1)), []
+    for time in np.arange(0, 11.5, PERIOD):
+        radii.append(bound.radii(bound.expected(now), np.ones(20), HORIZON)[0])
+        bound.observe(float(time), now, np.full(20, 0.1 if time < 6 else 0.01), np.full(20, radii[-1]), PERIOD)
+    assert radii[round(9 / PERIOD)] >= 0.1
+    assert radii[round(11 / PERIOD)] < 0.02
+
+
+def test_what_was_supposed_of_the_quantile_and_what_came_have_an_equal_say_after_a_third_of_a_second() -> None:
+    """Of errors as large as the scale takes them for, so that it is the quantile alone that learns."""
+    bound, length = Bound(), 0.05
+    now, first = like(np.full(40, length)), bound.quantile
+    halfway, found = np.sqrt(first * length / bound.scales(now)[0]), {}
+    for step in range(15):
+        bound.observe(step * PERIOD, now, np.full(40, length), np.ones(40), PERIOD)
+        found[step + 1] = bound.quantile
+    assert found[round(0.25 / PERIOD)] > 1.05 * halfway
+    assert found[round(0.45 / PERIOD)] < 0.95 * halfway
+
+
+@pytest.mark.parametrize(("times", "share"), [(2.0, 0.75), (0.5, 0.25)])
+def test_one_set_moves_the_expected_errors_most_of_the_way_up_and_a_quarter_of_the_way_down(
+    times: float, share: float
+) -> None:
+    """Of nodes that go so far that no cue but the constant tells anything."""
+    bound, now, error = Bound(), cues(CueLengths(*np.full((6, 30), 1 - LEAST))), 1.0
+    bound.observe(0.0, now, np.full(30, times * error - LEAST), np.ones(30), PERIOD)
+    moved = np.log(bound.scales(now)[0] / error) / np.log(times)
+    assert moved == pytest.approx(share, abs=0.05)
+
+
+def test_lengths_below_a_voxel_or_two_hardly_tell_errors_apart_and_those_of_a_limb_do() -> None:
+    nothing, finger, hand, forearm = Bound().scales(like(np.array([0.0, 0.01, 0.1, 0.25])))
+    assert nothing < finger < 1.25 * nothing
+    assert 1.8 < forearm / hand < 2.2
+
+
+def test_errors_that_are_just_held_are_not_missed() -> None:
+    assert quantile_after(1.0) == quantile_after(1.05)
 
 
 def quantile_after(share: float) -> float:
@@ -224,6 +269,11 @@ def test_no_radius_exceeds_the_largest() -> None:
     assert np.all(bound.radii(bound.expected(like(np.full(5, 5.0))), np.ones(5), HORIZON) <= LARGEST_RADIUS)
 
 
+def test_the_largest_radius_holds_how_far_people_get_astray_at_3_metres_a_second_and_not_at_4() -> None:
+    slower, faster = most_astray(np.array([3.0, 4.0]), np.array([HORIZON]))[0]
+    assert slower <= LARGEST_RADIUS < faster
+
+
 def test_nothing_to_judge_changes_nothing() -> None:
     bound = Bound()
     followed(bound, 2.0, np.full(5, 0.05))
@@ -285,6 +335,14 @@ def test_what_begins_something_new_is_not_made_up_for_by_larger_radii_of_all_els
     assert np.isclose(control.coverage, 0.5)
 
 
+@pytest.mark.parametrize("steady", [None, BoundParameters().coverage])
+def test_where_nothing_is_missed_a_wide_forecast_of_before_asks_for_nothing(steady: float | None) -> None:
+    control = CoverageControl(BoundParameters())
+    before = control.factor
+    control.observe(0.5, steady, MOST_FACTOR, 0.25)
+    assert control.factor <= before
+
+
 def test_the_factor_finds_the_target_coverage() -> None:
     """Shares drawn from one distribution."""
     rng = np.random.default_rng(0)
@@ -304,6 +362,7 @@ def test_the_factor_does_not_shrink_away_while_all_that_is_seen_is_held() -> Non
     for _ in range(3000):
         control.observe(1.0, 1.0, control.factor, 0.2)
     assert np.isclose(control.factor, LEAST_FACTOR)
+    assert 0.9 < control.factor / CoverageControl(BoundParameters()).factor < 1
 
 
 def test_the_factor_grows_no_further_while_nothing_that_is_seen_is_held() -> None:
@@ -312,6 +371,9 @@ def test_the_factor_grows_no_further_while_nothing_that_is_seen_is_held() -> Non
     for _ in range(100):
         control.observe(0.0, 0.0, control.factor, 1.0)
     assert control.factor == MOST_FACTOR
+    for _ in range(60):
+        control.observe(1.0, 1.0, control.factor, 1.0)
+    assert control.factor < 1
 
 
 def test_coverage_is_not_a_number_before_the_first_truth() -> None:
@@ -320,3 +382,11 @@ def test_coverage_is_not_a_number_before_the_first_truth() -> None:
     control.observe(0.9, 0.9, 0.5, 1.0)
     control.observe(1.0, 1.0, 0.5, 1.0)
     assert np.isclose(control.coverage, 0.95)
+
+
+def test_coverage_is_that_of_the_last_120_judged_sets() -> None:
+    control, found = CoverageControl(BoundParameters()), []
+    for covered in (0.4, *[1.0] * 120):
+        control.observe(covered, covered, 0.5, 1.0)
+        found.append(control.coverage)
+    assert found[-2:] == pytest.approx([119.4 / 120, 1.0], abs=1e-12)
