@@ -70,6 +70,20 @@ def test_three_places_are_a_flight_where_they_tell_its_velocity_to_forty_centime
     assert course.is_flight == is_flight
 
 
+def test_three_places_never_tell_a_fall_from_going_straight_and_four_do() -> None:
+    """However well they are known: the middle of what changes its shape may lie anywhere."""
+    places = path(4, np.array([3.0, 0.0, 0.0]), GRAVITY, noise_m=0)
+    assert course_of(places[:3], sigma=0.001).falls is None
+    assert course_of(places, sigma=0.002).falls
+
+
+@pytest.mark.parametrize("sigma", [0.002, 0.0025])
+def test_what_is_let_go_is_seen_to_fall_after_a_tenth_of_a_second(sigma: float) -> None:
+    """Its third step is the first that is longer than at half a metre a second."""
+    places = path(5, np.zeros(3), GRAVITY, noise_m=0)
+    assert [course_of(places[:count], sigma).falls for count in (3, 4)] == [None, True]
+
+
 def test_what_falls_is_still_on_its_course_after_sets_have_been_missed() -> None:
     places = path(10, np.array([2.0, 0.0, 1.0]), GRAVITY)
     seen = course_of(places[:6])
@@ -109,10 +123,11 @@ def test_what_has_come_down_and_stays_down_falls_no_more(rolling: float) -> None
     assert not course_of(np.concatenate([down, lying])).is_flight
 
 
-def test_what_creeps_is_measured_step_by_step() -> None:
-    course = course_of(path(6, np.array([0.2, 0.0, 0.0]), np.zeros(3), noise_m=0))
+@pytest.mark.parametrize("speed", [0.2, 0.45])
+def test_what_creeps_is_measured_step_by_step(speed: float) -> None:
+    course = course_of(path(6, np.array([speed, 0.0, 0.0]), np.zeros(3), noise_m=0))
     assert course.falls is None
-    assert np.allclose(course.velocity, [0.2, 0.0, 0.0])
+    assert np.allclose(course.velocity, [speed, 0.0, 0.0])
     assert np.isclose(course.velocity_sigma, np.sqrt(2) * SIGMA / PERIOD)
 
 

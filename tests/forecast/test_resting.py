@@ -123,6 +123,23 @@ def test_who_rests_where_a_crate_was_that_is_gone_is_somebody() -> None:
     assert np.array_equal(found, np.setdiff1d(crate, block((4, 4, 5), 4, 4, 1)))
 
 
+@pytest.mark.parametrize("was_carried_away", [True, False])
+def test_what_had_stood_is_forgotten_once_nothing_stands_there_nor_beside_it(was_carried_away: bool) -> None:
+    """A hand that rests on a table that was brought where a thicker one had been is somebody's."""
+    resting, nothing = Resting(FINE), np.zeros(0, np.int64)
+    table, layer, body = block((4, 4, 4), 4, 4, 1), block((4, 4, 5), 4, 4, 1), block((14, 4, 5), 2, 2, 2)
+    bare, thick = (Bits.of_indices(FINE.dims, voxels) for voxels in (table, np.concatenate([table, layer])))
+    sets = [
+        (nothing, thick),
+        (nothing, Bits.none(FINE.dims) if was_carried_away else bare),
+        (np.concatenate([layer, body]), bare),
+        (body, thick),
+    ]
+    for tick, (moving, stands) in enumerate(sets):
+        found = resting.update(tick * STEP_NS, moving, stands)
+    assert np.isin(layer, found).all() == was_carried_away
+
+
 def test_two_layers_of_a_rim_are_nobody_either() -> None:
     """Single voxels of the second one touch nothing that stood."""
     resting, nothing = Resting(FINE), np.zeros(0, np.int64)

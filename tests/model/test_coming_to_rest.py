@@ -121,6 +121,7 @@ class AtRest:
         static = table()
         self.gaussians, backgrounds = world(static)
         backgrounds.of(self.gaussians, CAMERAS)
+        self.backgrounds = backgrounds
         self.seeing: Observed = observe(static, None)[0]
         self.drawn: Rendering = look_at(static)[0]
         seen = self.seeing.background.static
@@ -162,7 +163,9 @@ def test_what_rests_wakes_where_a_quarter_of_what_is_seen_looks_otherwise_and_no
     shown: int, changed: int, wakes: bool
 ) -> None:
     thing = AtRest(shown, changed)
+    assert not thing.backgrounds.are_outdated
     assert thing.wakes == wakes
+    assert thing.backgrounds.are_outdated == wakes, "the next set is compared with what still stands"
     assert int((thing.gaussians.rested == GROUP).sum()) == (0 if wakes else shown)
     if wakes:
         assert int((thing.gaussians.nodes >= 0).sum()) == shown, "all of it, whatever has changed"
@@ -175,6 +178,21 @@ def test_what_something_that_moves_hides_does_not_look_otherwise(share: float, w
     thing = AtRest(20, 10)
     thing.hide(share)
     assert thing.wakes == wakes
+
+
+def test_pixels_of_no_use_say_nothing_of_what_rests() -> None:
+    thing = AtRest(20, 10)
+    usable = thing.seeing.usable.copy()
+    usable[thing.at] = False
+    thing.seeing = replace(thing.seeing, usable=usable)
+    assert not thing.wakes
+
+
+def test_what_stands_behind_something_else_does_not_look_otherwise() -> None:
+    thing = AtRest(20, 10)
+    nearer = replace(thing.seeing.background, depth=0.5 * thing.seeing.background.depth)
+    thing.seeing = replace(thing.seeing, background=nearer)
+    assert not thing.wakes
 
 
 def test_things_at_rest_are_looked_at_each_by_itself() -> None:

@@ -84,6 +84,30 @@ def test_what_lies_under_others_goes_and_the_images_stay() -> None:
         assert np.abs(old - new).max() < 0.1 and np.abs(old - new).mean() < 2e-4
 
 
+def test_what_stands_unseen_by_three_cameras_goes_within_two_seconds_at_30_hz_and_not_within_one() -> None:
+    held, count = store(with_hidden(40)), len(table().scales)
+    hidden, watched = held.static_rows[-40:], pruner(held)
+    sets = 0
+    while bool(held.alive[hidden].any()) and sets < 60:
+        watched.watch(CAMERAS)
+        sets += 1
+    assert 1.4 < sets / 30 < 1.7
+    assert len(held) > 0.9 * count
+
+
+def test_what_stands_and_shows_a_seventh_of_a_pixel_stays_and_what_shows_a_fifteenth_goes() -> None:
+    whole = with_hidden(40)
+    shown = torch.stack([blend_weights(whole, camera) for camera in CAMERAS]).amax(0)
+    told = (shown < 1 / 15) | (shown > 1 / 7)
+    held = store(chosen(whole, told))
+    rows, watched = held.static_rows, pruner(held)
+    faint = (shown[told] > 0.04) & (shown[told] < 0.2)
+    assert 0 < int((faint & (shown[told] < 0.1)).sum()) < int(faint.sum())
+    for _ in range(WHOLE):
+        watched.watch(CAMERAS)
+    assert torch.equal(held.alive[rows], shown[told] > 0.1)
+
+
 def test_blend_weights_add_up_to_what_is_opaque() -> None:
     held = store(table())
     seen = render(standing(held), CAMERAS)
@@ -218,6 +242,32 @@ def test_what_lies_under_its_own_body_goes_when_it_has_for_long() -> None:
     assert len(held) == count
     look_around(watched, held, 1)
     assert torch.equal(held.alive[:count], shows)
+
+
+def test_what_moves_unseen_by_three_cameras_goes_after_half_a_second_at_30_hz() -> None:
+    held = moving(with_hidden(40), torch.zeros(len(table().scales) + 40, dtype=torch.int64))
+    rows, watched = held.moving_rows, MovingPruner(held)
+    hidden, gone_s = rows[-40:], None
+    for tick in range(60):
+        index, rows = watched.due(CAMERAS, tick * 33_333_333), held.moving_rows
+        if index is not None:
+            drawn = held.standing(held.values[rows])
+            watched.look(CAMERAS[index], rows, drawn, held.standing(held.values[:0]))
+        if gone_s is None and not bool(held.alive[hidden].any()):
+            gone_s = tick / 30
+    assert gone_s is not None and 0.45 < gone_s < 0.65
+
+
+def test_what_moves_and_shows_two_fifths_of_a_pixel_stays_and_what_shows_a_fifth_goes() -> None:
+    whole = table()
+    shown = torch.stack([blend_weights(whole, camera) for camera in CAMERAS]).amax(0)
+    told = (shown < 1 / 5) | (shown > 2 / 5)
+    held = moving(chosen(whole, told), torch.zeros(int(told.sum()), dtype=torch.int64))
+    rows, watched = held.moving_rows, MovingPruner(held)
+    assert bool(((shown[told] > 0.1) & (shown[told] < 0.2)).any())
+    assert bool(((shown[told] > 0.4) & (shown[told] < 0.6)).any())
+    look_around(watched, held, MOVING_ROUNDS)
+    assert torch.equal(held.alive[rows], shown[told] > 0.3)
 
 
 def test_sets_that_come_more_often_are_not_all_looked_at() -> None:
