@@ -103,5 +103,10 @@ def _filled(kept: Float32) -> Float32:
     return np.minimum(whole, UNSEEN)
 
 
+def stands_out(depth: Float32, backdrop: Float32) -> Bool:
+    """[H, W] where a depth is clearly less than what stands behind."""
+    return np.asarray(depth < backdrop * np.float32(1 - STEP_SHARE) - np.float32(STEP))
+
+
 def _bytes(mask: Bool | None) -> Bool | None:
     return None if mask is None else np.ascontiguousarray(mask)

@@ -28,6 +28,7 @@ from twin_node.forecast.specks import of_things
 from twin_node.forecast.static import StaticParameters, StaticSpace
 from twin_node.forecast.tables import RigTables
 from twin_node.forecast.things import Whole
+from twin_node.forecast.tracks import REACH
 from twin_node.forecast.verdicts import Carved
 from twin_node.robot import ArmModel
 from twin_node.scene import Bool, Float64, Grid, OccupancyLayer, TwinState, UInt32, read_only
@@ -219,11 +220,9 @@ class Observer:
         before = self._last.after((stamp - self._last_stamp) * 1e-9)
         if len(self._last_centers) == 0 or len(centers) == 0:
             return Estimate.unknown(len(centers))
-        return before.of(nearest_one(centers, self._last_centers, NEAR).rows)
+        return before.of(nearest_one(centers, self._last_centers, REACH).rows)
 
 
-NEAR = 0.12
-"""Distance within which a part is taken for the one that was there before, m (one and a half parts)."""
 _PATIENCE_S = 1e-3
 """Tasks take less than this from who asks for them where their thread is scheduled, s."""
 _FAST_SHARE = 0.95

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.backdrops import STEP, STEP_SHARE, UNSEEN, Backdrops
+from twin_node.forecast.backdrops import UNSEEN, Backdrops, stands_out
 from twin_node.forecast.sights import LEAST_BLANK, Look
 from twin_node.forecast.unprojection import points_at
 from twin_node.geometry import project
@@ -52,11 +52,9 @@ class FilledDepth:
             window = _window(moving, 1)
             depth, backdrop, within = view.depth[window], backdrops.of(view)[window], moving[window]
             other = within & (depth > 0) & (backdrop < UNSEEN)
-            other &= _stands_out(depth, backdrop) | _stands_out(backdrop, depth)
-            if other.any():
-                passed[window] = cv2.morphologyEx(
-                    other.astype(np.uint8), cv2.MORPH_OPEN, _CROSS
-                )  # single ones are noise
+            other &= stands_out(depth, backdrop) | stands_out(backdrop, depth)
+            if other.any():  # single ones are noise
+                passed[window] = cv2.morphologyEx(other.astype(np.uint8), cv2.MORPH_OPEN, _CROSS)
             before = self._passed.get(view.camera.name)
             if before is not None and before.shape == moving.shape:
                 passed |= before & moving
@@ -113,9 +111,8 @@ def _blobs(look: Look, passed: Bool | None) -> _Blobs:
 
 def _unchanged(look: Look) -> Bool:
     """[H, W] where a look tells that all is as it was."""
-    changed = look.moving if look.robot is None else look.moving | look.robot
-    if look.view.valid is not None:
-        changed = changed | ~look.view.valid
+    hidden = look.hidden
+    changed = look.moving if hidden is None else look.moving | hidden
     unchanged: Bool = cv2.dilate(changed.astype(np.uint8), _AROUND) == 0
     return unchanged
 
@@ -148,22 +145,15 @@ def _ground(look: Look, window: _Window) -> Bool:
     assert look.view.depth is not None and look.backdrop is not None
     depth = look.view.depth[window]
     ground: Bool = look.moving[window] & (depth > 0)
-    ground &= ~_stands_out(depth, look.backdrop[window])
-    for hidden in (look.robot, None if look.view.valid is None else ~look.view.valid):
-        if hidden is not None:
-            ground &= ~hidden[window]
-    return ground
+    ground &= ~stands_out(depth, look.backdrop[window])
+    hidden = look.hidden
+    return ground if hidden is None else ground & ~hidden[window]
 
 
 def _window(mask: Bool, rim: int = 0) -> _Window:
     """Rows and columns that hold all of a mask [H, W] and `rim` more; none where it is empty."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
-
-
-def _stands_out(depth: Float32, backdrop: Float32) -> Bool:
-    """[H, W] where a depth is clearly less than what stands behind."""
-    return np.asarray(depth < backdrop * np.float32(1 - STEP_SHARE) - np.float32(STEP))
 
 
 def _seen(look: Look, points: Float32, unchanged: Bool) -> tuple[Bool, Bool]:

@@ -164,12 +164,8 @@ class Course:
         count = len(self.way.times)
         if count < 2:
             return self
-        falls, limit, falling, straight = (
-            self.falls,
-            _ASTRAY**2 * (count - 1),
-            self.way.lines[True],
-            self.way.lines[False],
-        )
+        falls, limit = self.falls, _ASTRAY**2 * (count - 1)
+        falling, straight = self.way.lines[True], self.way.lines[False]
         difference = straight.misfit - falling.misfit
         if difference > _SHOWN and falling.misfit < limit and count > _PLACES:
             falls = True

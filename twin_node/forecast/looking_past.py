@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twin_node.forecast.backdrops import STEP, STEP_SHARE
+from twin_node.forecast.backdrops import STEP_SHARE, stands_out
 from twin_node.forecast.sights import Look
 from twin_node.forecast.unprojection import points_at
 from twin_node.scene import Bool, Float32, Float64, Grid, UInt8
@@ -153,11 +153,9 @@ def _measured(look: Look, moving: bool) -> Bool:
     assert look.view.depth is not None and look.backdrop is not None
     known = look.view.depth > 0
     if moving:
-        known &= look.moving & (look.view.depth < look.backdrop * np.float32(1 - STEP_SHARE) - np.float32(STEP))
-    for hidden in (look.robot, None if look.view.valid is None else ~look.view.valid):
-        if hidden is not None:
-            known &= ~hidden
-    return known
+        known &= look.moving & stands_out(look.view.depth, look.backdrop)
+    hidden = look.hidden
+    return known if hidden is None else known & ~hidden
 
 
 class _DeepSight:

@@ -148,9 +148,8 @@ def weighed(shares: Float64, trust: Float64, alone: Rows) -> Float64:
 def _cues_of(single: Float64, mixed: Float64, errors: Float64, around: Neighbours) -> Float64:
     """Cues [M, C] from the experts' displacements [E, M, 3], the mixture's [M, 3] and recent errors [M]."""
     by_will = single[: EXPERT_NAMES.index("free_fall")]  # what falls is as far from all others whatever they err by
-    spread = np.sort(np.linalg.norm(by_will - mixed, axis=-1), axis=0)[
-        len(by_will) // 2
-    ]  # five: the third is the median
+    apart = np.sort(np.linalg.norm(by_will - mixed, axis=-1), axis=0)
+    spread = apart[len(by_will) // 2]  # of five: the third is the median
     by_name = dict(zip(EXPERT_NAMES, single, strict=True))
     way = np.linalg.norm(by_name["constant_velocity"], axis=-1)
     acceleration = np.linalg.norm(by_name["constant_acceleration"] - by_name["constant_velocity"], axis=-1)

@@ -11,7 +11,7 @@ from twin_node.forecast.parts import PART_SIZE, Parts
 from twin_node.scene import Float64, Grid
 
 MOST_PIECES = 16
-"""A way is cut into no more: that is enough for 25 m/s, twice what a path may go at (`tracks.MOST_SPEED`)."""
+"""A way is cut into no more: that is enough for 25 m/s, and no path goes at more than `tracks.MOST_SPEED`."""
 
 
 def passed_between(grid: Grid, parts: Parts, displacements: Float64, radii: Float64) -> tuple[NDArray[np.int64], ...]:

@@ -81,6 +81,13 @@ class Look:
     error_pixels: float
     """By which masks and surfaces may be off."""
 
+    @property
+    def hidden(self) -> Bool | None:
+        """[H, W] the arm, and pixels that show nothing of use; None where there are neither."""
+        if self.view.valid is None:
+            return self.robot
+        return ~self.view.valid if self.robot is None else ~self.view.valid | self.robot
+
 
 def sights_of(looks: Sequence[Look], parameters: CarvingParameters) -> list[Sight]:
     """What each look says. Compiled; `sight_reference` where that cannot be."""

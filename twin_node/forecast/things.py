@@ -11,6 +11,7 @@ from twin_node.forecast.flights import Course
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.part_requests import GatherRequest, LinkRequest
 from twin_node.forecast.parts import PART_SIZE, Parts
+from twin_node.forecast.tracks import MOST_SPEED
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid
 
@@ -22,8 +23,6 @@ _FEWEST = 4
 """Voxels of the smallest thing."""
 _ALIKE = 1.6
 """A thing is taken for another of at most so many times its volume."""
-_FASTEST = 15.0
-"""m/s: half as fast again as a throw overarm."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ def _pairs(before: _Seen, now: _Seen, elapsed_s: float) -> list[tuple[int, int]]
     ways = np.linalg.norm(now.middles[mine][:, None] - led, axis=2)
     steps = np.linalg.norm(now.middles[mine][:, None] - before.middles[others], axis=2)
     ratios = now.volumes[mine][:, None] / before.volumes[others]
-    ways = np.where((np.maximum(ratios, 1 / ratios) < _ALIKE) & (steps < _FASTEST * elapsed_s), ways, np.inf)
+    ways = np.where((np.maximum(ratios, 1 / ratios) < _ALIKE) & (steps < MOST_SPEED * elapsed_s), ways, np.inf)
     nearest = ways.argmin(axis=1)
     return [
         (int(mine[row]), int(others[other]))

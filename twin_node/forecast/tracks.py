@@ -6,12 +6,13 @@ import numpy as np
 
 from twin_node.forecast.experts import History
 from twin_node.forecast.nearest import nearest
+from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.prediction import Association
 from twin_node.forecast.records import Rows
 from twin_node.scene import Float64
 
-REACH = 0.12
-"""A part continues the track whose place is at most this far off, m (one and a half parts)."""
+REACH = 1.5 * PART_SIZE
+"""A part is taken for the one whose place is at most this far off, m, and continues its track."""
 KIN = 0.3
 """A new part takes over the record of errors of a part this near, m: a hull changes shape at its rims."""
 KEPT_S = 1.0

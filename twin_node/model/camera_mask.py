@@ -81,9 +81,7 @@ class CameraMask:
         object_ = self.confirmed & self.trusted & (difference > threshold)
         measured = is_known & (self.depth.blind_ns < self.still_ns)  # since it looks as it does
         free = seen & ~mask
-        bared = (
-            told.telling & ~measured & ~most_around(is_known, free, TELLING)
-        )  # of a thing, from what is not measured
+        bared = told.telling & ~measured & ~most_around(is_known, free, TELLING)  # of a thing, off what is not measured
         by_depth = measured | bared
         settled &= mask & ~told.rim & (by_depth | ~told.telling)
         among_ground = settled & ~self.trusted & like_ground & is_known

@@ -103,9 +103,7 @@ def judge_static_reference(observed: Sequence[Observed], renderings: Sequence[Re
     proven = np.zeros(count, bool)
     for one, rendering in zip(observed, renderings, strict=True):
         seen = one.background.static
-        front = rendering.pixels[..., 3][seen.rows, seen.columns]
-        covered = one.active[seen.rows, seen.columns] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
-        visible = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[seen.rows, seen.columns]
+        visible = are_visible(one, rendering, seen)
         changed = one.surprise[seen.rows, seen.columns] > MOVING_THRESHOLD
         if one.nearest is not None:
             visible &= one.nearest[seen.rows, seen.columns] > (1 - SEEN_THROUGH) * seen.depth
@@ -117,6 +115,14 @@ def judge_static_reference(observed: Sequence[Observed], renderings: Sequence[Re
     off = ~on_surface([one.background for one in observed])
     left = proven | (off & (gone == shown) & (gone >= 1))
     return StaticEvidence(left, off & (moving == shown) & (moving >= min(2, len(observed))))
+
+
+def are_visible(one: Observed, rendering: Rendering, seen: Seen) -> Bool:
+    """[n] points that a view shows: nothing STATIC stands before them, nor what moves as `rendering` has it."""
+    at = (seen.rows, seen.columns)
+    front = rendering.pixels[..., 3][at]
+    covered = one.active[at] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
+    return np.asarray(seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at])
 
 
 def clashing(observed: Sequence[Observed], left: Bool, rgb: Tensor) -> Bool:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin_node.model.adoption import KIN_M, looks_of, nearest
-from twin_node.model.backgrounds import OCCLUSION, Backgrounds
+from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.births import Births
 from twin_node.model.chosen import rows_where
+from twin_node.model.deaths import are_visible
 from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import RGB, Gaussians
 from twin_node.model.long_rest import STANDS_NS, unseen_ns
@@ -160,9 +161,7 @@ def _stirred(
     for one, rendering in zip(observed, renderings, strict=True):
         seen = one.background.static.of(chosen)
         at = (seen.rows, seen.columns)
-        front = rendering.pixels[..., 3][at]
-        covered = one.active[at] & (front > 0) & (seen.depth > (1 + OCCLUSION) * front)
-        shown = seen.inside & ~one.background.occluded(seen) & ~covered & one.usable[at]
+        shown = are_visible(one, rendering, seen)
         visible |= shown
         missed = largest_channel(one.rgb[at], rendering.pixels[..., :3][at]) - one.misfit[at]
         changed |= shown & (missed > MOVING_THRESHOLD)

@@ -40,10 +40,8 @@ def fit_unselected(
         backdrops.append(behind)
     with torch.no_grad():
         arm = motion.place(gaussians, gaussians.robot_rows, poses, stamps)
-        carriage, bend = (
-            carry(poses, gaussians.nodes[rows]),
-            motion.bend(gaussians.population(rows, motion.nodes), stamps),
-        )
+        carriage = carry(poses, gaussians.nodes[rows])
+        bend = motion.bend(gaussians.population(rows, motion.nodes), stamps)
         carriage = carriage if bend is None else carriage.bent(bend)
     values = gaussians.values[rows]
     goal = goal_of(views, masks, backdrops, device)
