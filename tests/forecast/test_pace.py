@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from forecast_worlds import GRID, state_of
 
+from twin_node.forecast import Forecaster, ForecastError
 from twin_node.forecast.pace import Pace
 
 
@@ -36,3 +38,12 @@ def test_one_pause_makes_the_next_no_more_usual() -> None:
 
 def test_a_pace_is_usual_from_its_second_step_on() -> None:
     assert pauses([0.3] * 4) == [False, True, False, False, False]
+
+
+def test_a_state_older_than_the_last_is_refused_and_changes_nothing() -> None:
+    """A log that begins again would go on with what was known of its end, and nobody would be told."""
+    forecaster = Forecaster(GRID)
+    forecaster.update(state_of(10**9, None), 10**9)
+    with pytest.raises(ForecastError, match="state: expected a stamp of 1000000000 ns or later, found 999999999 ns;"):
+        forecaster.update(state_of(10**9 - 1, None), 10**9)
+    forecaster.update(state_of(10**9, None), 10**9)

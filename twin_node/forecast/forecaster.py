@@ -97,6 +97,8 @@ class Forecaster:
         self._control = CoverageControl(self.parameters.bound)
         self._tracks = Tracks()
         self._predictor = self._new_predictor()
+        self._newest = _NEVER
+        """Stamp of the last state, ns."""
         self._pace = Pace()
         self._begins_anew = True
         """Whether nothing is known of motion that holds for the next state."""
@@ -127,16 +129,21 @@ class Forecaster:
     def update(self, state: TwinState, publish_stamp: int) -> ForecastResult:
         """Occupancy at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (both ns, one clock).
 
-        Raises `ForecastError` where it is to be read before its evidence, and for images or masks that are not of their
-        camera's size.
+        Raises `ForecastError` where it is to be read before its evidence, for a state older than the last, and for
+        images or masks that are not of their camera's size.
         """
+        if state.stamp < self._newest:
+            raise ForecastError(
+                f"state: expected a stamp of {self._newest} ns or later, found {state.stamp} ns; sort the states, or "
+                "begin with a new forecaster"
+            )
         if publish_stamp < state.stamp:
             early_ms = (state.stamp - publish_stamp) / 1e6
             raise ForecastError(
                 f"publish_stamp: expected the evidence's stamp or later, found {early_ms:g} ms before it; give both on "
                 "one clock"
             )
-        state = self._narrowed.of(state)
+        state, self._newest = self._narrowed.of(state), state.stamp
         horizons = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         self._sees_motion_from = self._sees_motion_from or state.stamp + MOTION_SHOWS_NS
         evidence = self._follow(state, float(horizons[-1]))
