@@ -94,6 +94,15 @@ def test_what_falls_is_still_on_its_course_after_sets_have_been_missed() -> None
     assert len(seen.followed(9 * PERIOD, straight, SIGMA).way.times) == 1, "it has hit something"
 
 
+@pytest.mark.parametrize("rate", [30, 60])
+def test_a_course_is_that_of_the_last_fifth_of_a_second(rate: int) -> None:
+    """Drag and spin bend what was before."""
+    course = Course.begun(0.0, np.zeros(3), SIGMA)
+    for number in range(1, rate):
+        course = course.followed(number / rate, np.array([2.0 * number / rate, 0.0, 0.0]), SIGMA)
+    assert 0.15 < course.way.times[-1] - course.way.times[0] < 0.21
+
+
 def test_after_a_hit_the_velocity_is_known_no_better_than_by_how_much_it_changed() -> None:
     down = path(6, np.array([2.0, 0.0, -1.0]), GRAVITY)
     before = course_of(down)
