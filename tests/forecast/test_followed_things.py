@@ -95,6 +95,20 @@ def test_velocities_are_told_by_what_passes_between_two_sets_whenever_that_is(be
         assert sigmas == pytest.approx(np.sqrt(2) * GRID.voxel_size / 2 / 0.04, rel=0.01), "half a voxel each time"
 
 
+def test_of_two_alike_the_one_where_its_velocity_led_is_the_thing_of_before() -> None:
+    """The other, which came from elsewhere, is nearer to where that was."""
+    things, mask = Things(GRID), np.zeros(GRID.dims, np.bool_)
+    mask[18:20, 10:12, 10:12] = mask[13:15, 13:15, 10:12] = True
+    indices = np.flatnonzero(mask)
+    both = split(GRID, indices, np.ones(len(indices), np.bool_))
+    for tick, parts in enumerate((box((10, 10, 10), (2, 2, 2)), box((14, 10, 10), (2, 2, 2)), both)):
+        whole = things.follow(tick * STEP_NS, CAMERAS, parts)
+    is_ahead = both.centers[:, 0] > GRID.origin[0] + 16 * GRID.voxel_size
+    assert 0 < is_ahead.sum() < both.count
+    assert np.array_equal(whole.followed, is_ahead)
+    assert whole.velocities[is_ahead, 0] == pytest.approx(6.0, abs=0.1)
+
+
 def test_of_what_is_seen_to_grow_or_to_shrink_less_is_known_than_of_what_stays_as_it_is() -> None:
     """By how much its middle may have moved for that: a share of its length."""
     small, large = box((10, 10, 10), (2, 2, 2)), box((10, 10, 10), (2, 2, 2), 3)
