@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +19,7 @@ from twin_node.nodes.live.beside_twin import _driving
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.speed_scaling import KeptShare, SpeedScalingParameters, make_speed_scaling
 from twin_node.nodes.topics import JOINT_STATES, SEPARATION, kind_of, kind_of_own
+from twin_node.robot import ur_model
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import LocalWire
@@ -28,6 +29,8 @@ from twin_node.scene import JointSample, Separation
 START = 1_700_000_000_000_000_000
 TOPIC = "/joint_trajectory_controller/speed_scaling_input"
 PERIOD_S = 0.02
+JOINTS = ur_model("ur10e").joint_names
+"""Of the arm that is judged where nothing else is said."""
 
 
 def subscriber(node: str, topic: str) -> Endpoint:
@@ -68,10 +71,14 @@ class Controller:
         self.node.activate()
         (self._tick,) = ticks
         self._send = self.wire.publisher("arm", SEPARATION, kind_of_own(SEPARATION))
+        self._say_joints = self.wire.publisher("driver", JOINT_STATES, kind_of_own(JOINT_STATES))
         if joints_rad_s is not None:
-            turning = JointSample(START, ("a", "b"), np.zeros(2), np.array([0.0, -joints_rad_s]))
-            send = self.wire.publisher("driver", JOINT_STATES, kind_of_own(JOINT_STATES))
-            send(convert.joint_sample_to_message(turning))
+            self.say_joints(dict.fromkeys(JOINTS, 0.0) | {JOINTS[1]: -joints_rad_s})
+
+    def say_joints(self, velocities: Mapping[str, float]) -> None:
+        """Somebody tells of joints, rad/s; of some that they do not know how fast they are (NaN)."""
+        told = JointSample(START, tuple(velocities), np.zeros(len(velocities)), np.array([*velocities.values()]))
+        self._say_joints(convert.joint_sample_to_message(told))
         self._hear()
 
     def _hear(self) -> None:
@@ -138,6 +145,33 @@ def test_an_arm_of_which_nobody_knows_whether_it_moves_is_stopped(monkeypatch: p
     told = controller.run(0.3, 1.0)
     assert told == sorted(told)
     assert told[0] < 0.1, "and from there its speed rises"
+
+
+def test_a_gripper_that_stands_says_nothing_of_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller of an arm at full speed was told 0 at once, which it obeys within a period."""
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    controller.say_joints({"gripper": 0.0})
+    assert controller.run(0.1) == []
+    controller.say_joints(dict.fromkeys(JOINTS, 1.0))
+    controller.say_joints({"gripper": 0.0})
+    assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
+
+
+def test_a_joint_whose_speed_nobody_measures_does_not_hide_that_the_others_move(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    controller.say_joints(dict.fromkeys(JOINTS, np.nan))
+    assert controller.run(0.1) == []
+    controller.say_joints(dict.fromkeys(JOINTS, 1.0) | {JOINTS[0]: np.nan})
+    assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
+
+
+def test_a_belt_that_runs_beside_an_arm_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that stood was set going by what its controller was told for it, which was taken to be at full speed."""
+    controller = Controller(monkeypatch, joints_rad_s=0.0)
+    controller.say_joints({"belt": 5.0})
+    assert set(controller.run(0.3)) == {0.0}
 
 
 def test_a_node_that_takes_the_place_of_one_that_was_killed_goes_on_from_there(

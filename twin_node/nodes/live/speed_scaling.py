@@ -6,14 +6,14 @@ steps, and control_msgs/SpeedScalingFactor: 1 at its own speed, 0 a full pause.
 
 from __future__ import annotations
 
+import math
 import mmap
 import struct
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from twin_node.arm import LimiterParameters, SpeedLimiter
 from twin_node.errors import TwinError
@@ -68,7 +68,8 @@ class SpeedScalingParameters:
 
 def make_speed_scaling(setup: Setup) -> Node:
     """The node `speed_scaling`, which slows as `arm.slide_s` says, for that is what the law counts on."""
-    return SpeedScalingNode(setup, setup.parameters(SpeedScalingParameters), setup.chain_parameters().arm.slide_s)
+    parameters, arm = setup.parameters(SpeedScalingParameters), setup.chain_parameters().arm
+    return SpeedScalingNode(setup, parameters, arm.slide_s, arm.arm().joint_names)
 
 
 class SpeedScalingNode(Node):
@@ -78,8 +79,10 @@ class SpeedScalingNode(Node):
     moves: then with what the node told whose place it takes, or with all, as controllers do.
     """
 
-    def __init__(self, setup: Setup, parameters: SpeedScalingParameters, slide_s: float) -> None:
-        """`slide_s`: from all of its speed to none, s."""
+    def __init__(
+        self, setup: Setup, parameters: SpeedScalingParameters, slide_s: float, joint_names: Collection[str]
+    ) -> None:
+        """`slide_s`: from all of its speed to none, s; `joint_names`: the arm's."""
         super().__init__(setup.name, setup.bus, setup.clock)
         self._bus = setup.bus
         self._timers = setup.timers
@@ -87,6 +90,7 @@ class SpeedScalingNode(Node):
         self._topic = parameters.topic
         self._period_s = 1.0 / parameters.rate_hz
         self._slide_s = slide_s
+        self._joint_names = frozenset(joint_names)
         self._limiter = SpeedLimiter(parameters.limiter)
         self._kept = None if setup.kept is None else KeptShare(setup.kept / KEPT)
         self._share: float | None = None
@@ -132,8 +136,11 @@ class SpeedScalingNode(Node):
         self._limiter.decide(convert.separation_from_message(message), self.clock.now())
 
     def _on_joints(self, message: Message) -> None:
-        if self._share is None and len(message.velocity):
-            self._moves = bool(np.abs(message.velocity).max() > STANDS_RAD_S)
+        """Of the arm alone, as far as its speeds are told: a gripper on the same topic stands while the arm moves."""
+        told = zip(message.name, message.velocity, strict=False)
+        speeds = [abs(speed) for name, speed in told if name in self._joint_names and not math.isnan(speed)]
+        if self._share is None and speeds:
+            self._moves = max(speeds) > STANDS_RAD_S
 
     def _tick(self) -> None:
         if self.state is not LifecycleState.ACTIVE or not self._has_begun():
