@@ -88,15 +88,18 @@ class Controller:
     def wait(self, seconds: float) -> None:
         self.passed += seconds
 
-    def run(self, seconds: float, decided: float | None = None) -> list[float]:
-        """What the controller is told in that time, in which a share is decided thirty times a second, or nothing."""
+    def run(self, seconds: float, decided: float | None = None, ahead_s: float = 0.0) -> list[float]:
+        """What the controller is told in that time, in which a share is decided thirty times a second, or nothing.
+
+        `ahead_s`: by how much the clock of who decides is ahead.
+        """
         before, next_s = len(self.told), self.passed
         until = self.passed + seconds
         while self.passed < until - 1e-9:
             self.wait(PERIOD_S)
             if decided is not None and self.passed >= next_s:
                 next_s += 1 / 30
-                now = START + round(self.passed * 1e9)
+                now = START + round((self.passed + ahead_s) * 1e9)
                 self._send(convert.separation_to_message(Separation.without_pair(now, now, decided, "test")))
                 self._hear()
             self._tick()
@@ -203,6 +206,19 @@ def test_without_decisions_the_arm_is_slow_and_then_stands(monkeypatch: pytest.M
     (one,) = controller.node.diagnoses()
     assert one.level is convert.Level.OK
     assert one.message.startswith("stopped: no forecast for 5")
+
+
+def test_decisions_by_evidence_of_the_future_stop_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody knows how old it is: the UR driver halts, and here the arm went on at full speed by what it said."""
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0, ahead_s=0.19)
+    assert controller.told[-1] == 1.0, "clocks may differ by as much as evidence may be old"
+    controller.run(0.5, 1.0, ahead_s=0.3)
+    assert controller.told[-1] == 0.0
+    (one,) = controller.node.diagnoses()
+    assert one.message.startswith("stopped: the evidence lies 300 ms in the future, so nobody knows how old it is")
+    controller.run(1.0, 1.0)
+    assert controller.told[-1] == 1.0
 
 
 def test_a_share_that_stays_is_told_again_for_a_controller_that_is_new(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twin_node.arm import LimiterParameters, SpeedLimiter
+from twin_node.arm import LimiterParameters, SpeedLimiter, standing
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert, message_type
 from twin_node.nodes.live.setup import Setup
@@ -23,6 +23,7 @@ from twin_node.nodes.topics import JOINT_STATES, SEPARATION, SPEED_SCALING_INPUT
 from twin_node.ranges import Range, check_ranges
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.rmw_zenoh import EntityKind
+from twin_node.scene import NO_EVIDENCE
 
 REPEAT_S = 0.5
 """How often the share is told though it stays: a controller may be a new one."""
@@ -133,7 +134,14 @@ class SpeedScalingNode(Node):
         return (convert.Diagnosis(f"{self.name}: arm", convert.Level.ERROR, unheard, readings),)
 
     def _on_separation(self, message: Message) -> None:
-        self._limiter.decide(convert.separation_from_message(message), self.clock.now())
+        """By evidence of the future the arm stands, as behind the UR driver: nobody knows how old it is."""
+        separation, now = convert.separation_from_message(message), self.clock.now()
+        ahead_ns = separation.evidence_stamp - now
+        if ahead_ns > self._limiter.parameters.evidence_latency_s * 1e9:
+            why = f"the evidence lies {ahead_ns / 1e6:.0f} ms in the future, so nobody knows how old it is"
+            advice = "keep the clocks of cameras and controller together (chrony, PTP)"
+            separation = standing(separation.stamp, NO_EVIDENCE, f"stopped: {why}; {advice}")
+        self._limiter.decide(separation, now)
 
     def _on_joints(self, message: Message) -> None:
         """Of the arm alone, as far as its speeds are told: a gripper on the same topic stands while the arm moves."""
