@@ -190,6 +190,7 @@ def test_measured_stops_are_parameters() -> None:
             r"about 0\.8 rad, found 40; give rad/s",
         ),
         ([{"speed": 3.2, "times": [0.5] * 6, "angles": [0.0] * 6}], r"about 0\.8 rad, found 0"),
+        ([{"speed": 3.2, "times": [0.0] * 6, "angles": [0.7] * 6}], "stop from 3.2 rad/s in 0 s .* found 0.7"),
         ([{"speed": 1.0, "times": [-0.1] * 6, "angles": [0.1] * 6}], "expected finite times and angles"),
     ],
 )

@@ -100,7 +100,7 @@ class StoppingRow:
             raise ArmError(f"stopping: expected a speed in rad/s, at most {FASTEST_RAD_S:g}, found {self.speed:g}")
         for time_s, angle in zip(self.times, self.angles, strict=True):
             way = self.speed * time_s
-            if time_s > 0 and not way / OF_A_STOP <= angle <= way * OF_A_STOP:
+            if time_s >= 0 and not way / OF_A_STOP <= angle <= way * OF_A_STOP:
                 raise ArmError(
                     f"stopping: expected of a stop from {self.speed:g} rad/s in {time_s:g} s an angle of about "
                     f"{way / 2:.2g} rad, found {angle:g}; give rad/s, s and rad"
