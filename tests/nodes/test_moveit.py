@@ -127,8 +127,9 @@ def test_nothing_is_made_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     ("parameters", "told"),
     [
         ({"kinds": ("people",)}, "kinds: expected some of moving, static, unknown, unseen, found 'people'"),
-        ({"period_s": -1.0}, "period_s: expected 0 or more, found -1"),
-        ({"period_s": float("nan")}, "period_s: expected 0 or more, found nan"),
+        ({"period_s": -1.0}, "period_s: expected a number of 0 or more, found -1"),
+        ({"period_s": float("nan")}, "period_s: expected a number of 0 or more, found nan"),
+        ({"period_s": float("inf")}, "period_s: expected a number of 0 or more, found inf"),
     ],
 )
 def test_wrong_parameters_are_named(parameters: dict[str, Any], told: str) -> None:

@@ -8,6 +8,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import COLLISION_OBJECT, OBSTACLES
+from twin_node.ranges import NOT_NEGATIVE, check_ranges
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.scene import ObstacleKind, Obstacles
 
@@ -32,8 +33,7 @@ class MoveItParameters:
         for kind in self.kinds:
             if kind not in known:
                 raise TwinError(f"kinds: expected some of {', '.join(known)}, found '{kind}'")
-        if not self.period_s >= 0.0:
-            raise TwinError(f"period_s: expected 0 or more, found {self.period_s:g}")
+        check_ranges(self, TwinError, "", period_s=NOT_NEGATIVE)
 
 
 def make_moveit(setup: Setup) -> Node:
