@@ -69,6 +69,17 @@ def test_a_clock_that_is_put_back_begins_another_recording(recorded: Recorded, t
     assert (times(tmp_path / "arm.mcap"), times(second)) == ([0, 1, 2], [-3, -2])
 
 
+@pytest.mark.parametrize(("back_s", "logs"), [(0.9, 1), (1.1, 2)])
+def test_threads_that_overtake_each_other_are_no_clock_that_is_put_back(
+    recorded: Recorded, tmp_path: Path, back_s: float, logs: int
+) -> None:
+    for step_s in (0.0, 1.0, -back_s, 0.1):
+        recorded.clock.stamp += round(step_s * SECOND)
+        recorded.diagnose()
+    recorded.log.close()
+    assert len(list(tmp_path.iterdir())) == logs
+
+
 def test_decisions_of_a_clock_that_is_ahead_are_of_when_they_came(recorded: Recorded, tmp_path: Path) -> None:
     """They were of ten seconds later, and `check` found all well."""
     for _ in range(3):

@@ -7,23 +7,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter
-from twin_node.bag.recording import PUT_BACK_NS, free_path
 from twin_node.messages import Message, builtin_types, serialize
+from twin_node.nodes.put_back import PutBackClock
 
 
 class DriverLog:
     """Writes messages as they come; where the disk refuses it says so, once, and takes no more.
 
     An arm that stood because a disk is full would wait for somebody who knows nothing of disks. Where the clock is put
-    back another recording is begun beside: in one log what comes then would stand in between.
+    back another recording is begun beside.
     """
 
     def __init__(self, path: Path, say: Callable[[str], None]) -> None:
         """Raises `BagError` where nothing can be begun at `path`."""
-        self._path = path
         self._writers = [RecordingWriter(path)]
-        self._newest = 0
-        """When the newest message came, ns."""
+        self._put_back = PutBackClock(path, say)
         self._say = say
         self.error: BagError | None = None
         """Why it ended before its time; None: it did not."""
@@ -38,21 +36,14 @@ class DriverLog:
         if self.error is not None:
             return
         try:
-            if self._newest - stamp_ns > PUT_BACK_NS:
-                self._begin_anew(stamp_ns)
-            self._newest = stamp_ns
+            if (beside := self._put_back.beside(stamp_ns)) is not None:
+                self._writers.append(self._writers[-1].followed_by(beside, stamp_ns))
             self._writers[-1].write(topic, message.__msgtype__, serialize(message), stamp_ns, builtin_types())
         except BagError as error:
             self.error = error
             self._say(f"not recorded any more: {error}; the driver goes on")
             with contextlib.suppress(BagError):  # its beginning stands; why it ended was told
                 self._writers[-1].close()
-
-    def _begin_anew(self, stamp_ns: int) -> None:
-        path = free_path(self._path)
-        back_s = (self._newest - stamp_ns) / 1e9
-        self._say(f"time was put back by {back_s:.1f} s: what comes from now on is recorded into {path}")
-        self._writers.append(self._writers[-1].followed_by(path, stamp_ns))
 
     def close(self) -> None:
         """Finishes the recording. Raises why it ended before its time."""

@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
-from twin_node.bag.recording import PUT_BACK_NS, free_path
+from twin_node.bag.recording import free_path
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.put_back import PutBackClock
 from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import EVERY, TopicKind
@@ -84,8 +85,7 @@ class LiveRecorderNode(Node):
         self._has_begun = False
         self._has_told_of_loss = False
         self._error: BagError | None = None
-        self._newest = 0
-        """When the newest message came, ns."""
+        self._put_back = PutBackClock(Path(parameters.output), setup.say)
 
     def on_configure(self) -> None:
         """Raises `BagError` where the output cannot be begun.
@@ -219,24 +219,15 @@ class LiveRecorderNode(Node):
 
     def _put(self, topic: str, message: Encoded, stamp: int, latched: bool) -> None:
         try:
-            if self._writer is not None and self._newest - stamp > PUT_BACK_NS:
-                self._writer = self._begun_anew(self._writer, stamp)
-            self._newest = stamp
             if self._writer is None:
                 return
+            if (beside := self._put_back.beside(stamp)) is not None:
+                if self._parameters.tells:
+                    self._say(self._summary(self._writer))
+                self._writer = self._writer.followed_by(beside, stamp)
             self._writer.write(topic, message.msgtype, message.data, stamp, message.types, latched)
         except BagError as error:
             self._fail(error)
-
-    def _begun_anew(self, writer: RecordingWriter, stamp: int) -> RecordingWriter:
-        """A recording beside the one that a clock was put back in: in one log what comes now would stand in between."""
-        path = free_path(Path(self._parameters.output))
-        self._say(
-            f"time was put back by {(self._newest - stamp) / 1e9:.1f} s: what comes from now on is recorded into {path}"
-        )
-        if self._parameters.tells:
-            self._say(self._summary(writer))
-        return writer.followed_by(path, stamp)
 
     def _flush(self) -> None:
         if self._writer is None:
