@@ -312,6 +312,23 @@ def test_a_next_file_that_cannot_be_begun_ends_the_recording_and_leaves_the_rest
         assert log.damage is None
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_a_recording_that_cannot_go_on_in_another_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a clock was put back and the disk was full: the other one stayed, open and without an end."""
+    writer = RecordingWriter(tmp_path / "run.mcap")
+    writer.write("/map", STRING, text("a map"), 2 * STEP, builtin_types(), latched=True)
+
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(RecordingWriter, "_repeat_latched", refuse)
+    with pytest.raises(BagError, match="No space left on device"):
+        writer.followed_by(tmp_path / "run_r1.mcap", STEP)
+    gc.collect()  # what is open still is told of then
+    assert list(tmp_path.iterdir()) == [tmp_path / "run.mcap"]
+    assert stamps_of(tmp_path / "run.mcap", "/map") == [2 * STEP]
+
+
 def test_wrong_places_are_refused(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "file").touch()

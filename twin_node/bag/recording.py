@@ -218,6 +218,7 @@ class RecordingWriter:
         try:
             other._repeat_latched(stamp)
         except OSError as error:
+            other.discard()  # nothing is in it that this one has not
             raise other._refused(error) from None
         return other
 
