@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,14 @@ class Studio:
         clock: Clock,
         is_active: bool = True,
         say: Callable[[str], None] | None = None,
+        remaps: Mapping[str, str] | None = None,
         **more: Any,
     ) -> None:
         self.said: list[str] = []
         self.graph: tuple[Endpoint, ...] = ()
         self.is_finished = False
         self._wire, self._executor = LocalWire(), Executor()
-        bus = WireBus(self._wire, self._executor, "recorder", kind_of)
+        bus = WireBus(self._wire, self._executor, "recorder", kind_of, remaps)
         say = say or self.said.append
         setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, lambda: self.graph, say)
         topics = {"topics": (DIAGNOSTICS, TF_STATIC), **more}
@@ -128,6 +129,22 @@ def test_what_its_publisher_keeps_for_late_listeners_is_recorded_so(
     studio.end()
     with open_log(tmp_path / "run.mcap") as log:
         assert [(topic.name, topic.latched) for topic in log.topics] == [("/map", is_latched)]
+
+
+def test_a_topic_with_another_name_on_the_graph_is_recorded_under_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One whose type only the graph tells was looked for under the name that it does not have there, in silence."""
+    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.001)
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), topics=("/note",), remaps={"/note": "/left/note"})
+    kind, who = "std_msgs/msg/String", NodeIdentity("1", 1, "somebody")
+    studio.graph = (Endpoint(EntityKind.PUBLISHER, who, 1, "/left/note", kind, "RIHS01_0", Qos()),)
+    studio.step()
+    studio.hear("/left/note", message_type(kind)(data="of the left arm"))
+    studio.hear("/note", message_type(kind)(data="of another"))
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [(entry.topic, entry.message.data) for entry in log.messages()] == [("/left/note", "of the left arm")]
 
 
 def test_what_a_slow_disk_has_cost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -152,11 +152,12 @@ class LiveRecorderNode(Node):
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
         if not self._is_all and all(topic in self._added for topic in self._topics):
             return
+        asked = {self._bus.resolved(topic): topic for topic in self._topics}
         for endpoint in self._endpoints():
-            is_wanted = self._is_all or endpoint.topic in self._topics
-            if not is_wanted or endpoint.kind is not EntityKind.PUBLISHER:
+            topic = endpoint.topic if self._is_all else asked.get(endpoint.topic)
+            if topic is None or endpoint.kind is not EntityKind.PUBLISHER:
                 continue
-            recorded = self._added.get(endpoint.topic)
+            recorded = self._added.get(topic)
             if recorded is not None and recorded != endpoint.msgtype:
                 self._leave_out(
                     endpoint,
@@ -164,7 +165,7 @@ class LiveRecorderNode(Node):
                     f"{recorded} came first",
                 )
             elif recorded is None and endpoint.msgtype in builtin_types():
-                self.add(endpoint.topic, TopicKind(endpoint.msgtype, endpoint.qos))
+                self.add(topic, TopicKind(endpoint.msgtype, endpoint.qos))
             elif recorded is None:
                 self._leave_out(endpoint, f", whose type {endpoint.msgtype} is not known here")
 
