@@ -107,11 +107,14 @@ class Controller:
 
 
 def test_a_controller_is_told_what_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
-    controller = Controller(monkeypatch)
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    assert controller.node.diagnoses()[0].readings == (), "nobody knows yet"
     controller.run(2.0, 1.0)
     assert controller.told[-1] == 1.0
     controller.run(1.0, 0.4)
     assert controller.told[-1] == 0.4
+    (one,) = controller.node.diagnoses()
+    assert one.readings == (convert.Reading("share", "0.40"),)
 
 
 def test_it_slows_as_the_arm_can_brake_and_no_faster(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,9 +128,12 @@ def test_it_slows_as_the_arm_can_brake_and_no_faster(monkeypatch: pytest.MonkeyP
     assert told[-1] == 0.0
 
 
-def test_an_arm_that_moves_already_is_slowed_from_all_of_its_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("joints_rad_s", [1.0, 0.015], ids=["fast", "creeping"])
+def test_an_arm_that_moves_already_is_slowed_from_all_of_its_speed(
+    monkeypatch: pytest.MonkeyPatch, joints_rad_s: float
+) -> None:
     """Which is what a controller has that nobody has told anything."""
-    told = Controller(monkeypatch).run(0.5)
+    told = Controller(monkeypatch, joints_rad_s=joints_rad_s).run(0.5)
     assert told[0] == pytest.approx(1 - PERIOD_S / 0.2)
     assert told == sorted(told, reverse=True)
     assert told[-1] == 0.0
