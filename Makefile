@@ -33,7 +33,7 @@ lint: $(READY)
 bench: $(READY)
 	$(BIN)/twin_node bench raster
 
-# Open3D needs libusb, libGL and libEGL, and Debian ships venv apart from Python: installed when we may, named when we may not.
+# Open3D needs libusb, libGL and libEGL, and Debian ships venv apart from Python: installed when we may, else named.
 $(READY): pyproject.toml setup.py constraints.txt constraints-cpu.txt
 	@missing=; for lib in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1; do \
 	  ldconfig -p | grep -q "$${lib%%:*}" || missing="$$missing $${lib##*:}"; done; \
