@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
+import shutil
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -172,6 +175,25 @@ def test_torch_keeps_to_one_thread_where_it_is_told_to_and_the_library_does_not(
         assert (torch.get_num_threads(), thread_count()) == (3, 3)
     finally:
         torch.set_num_threads(before)
+
+
+def test_torchs_runtime_is_found_where_it_is_not_shown_to_the_whole_process(library: SplatLibrary, monkeypatch):
+    monkeypatch.setattr(native, "_shown", lambda: None)
+    monkeypatch.setattr(native, "_runtime", native._runtime.__wrapped__)
+    before = torch.get_num_threads()
+    try:
+        native.limit_torch(before + 2)
+        assert torch.get_num_threads() == before + 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_no_runtime_is_torchs_but_the_one_that_it_heeds(library: SplatLibrary, tmp_path: Path):
+    foreign = tmp_path / "libgomp-foreign.so"
+    shutil.copy(next(iter(native._loaded()))._name, foreign)
+    before = torch.get_num_threads()
+    assert not native._is_torchs(ctypes.CDLL(str(foreign)))
+    assert torch.get_num_threads() == before
 
 
 def test_concurrent_calls_do_not_mix(library: SplatLibrary):

@@ -262,11 +262,44 @@ def limit_torch(threads: int) -> None:
 
     `torch.set_num_threads` says it for all threads at once. Nothing where torch does not run on OpenMP.
     """
-    with suppress(AttributeError):
-        _runtime().omp_set_num_threads(threads)
+    runtime = _runtime()
+    if runtime is not None:
+        runtime.omp_set_num_threads(threads)
 
 
 @cache
-def _runtime() -> ctypes.CDLL:
-    """What this process has loaded, torch's OpenMP runtime among it: torch shows that to the whole process."""
-    return ctypes.CDLL(None)
+def _runtime() -> ctypes.CDLL | None:
+    """Torch's OpenMP runtime; None where none is found.
+
+    Torch shows it to the whole process, but not on ARM: there it is that of the loaded ones which torch heeds.
+    """
+    return _shown() or next((runtime for runtime in _loaded() if _is_torchs(runtime)), None)
+
+
+def _shown() -> ctypes.CDLL | None:
+    """What the whole process sees, where an OpenMP runtime is among it."""
+    everything = ctypes.CDLL(None)
+    return everything if hasattr(everything, "omp_set_num_threads") else None
+
+
+def _loaded() -> Iterator[ctypes.CDLL]:
+    """The OpenMP runtimes that this process has loaded, of GCC, LLVM and Intel; none where it cannot tell."""
+    try:
+        lines = Path("/proc/self/maps").read_text(errors="surrogateescape").splitlines()
+    except OSError:
+        return
+    for path in dict.fromkeys(line[line.index("/") :] for line in lines if "/" in line):
+        if Path(path).name.startswith(("libgomp", "libomp", "libiomp")):
+            with suppress(OSError):  # since removed
+                yield ctypes.CDLL(path)
+
+
+def _is_torchs(runtime: ctypes.CDLL) -> bool:
+    """Whether torch takes as many threads as this runtime is told to; the calling thread's are as before then."""
+    import torch
+
+    before = torch.get_num_threads()
+    runtime.omp_set_num_threads(before + 1)
+    is_torchs = torch.get_num_threads() == before + 1
+    runtime.omp_set_num_threads(before)
+    return is_torchs
