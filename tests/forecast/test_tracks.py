@@ -107,3 +107,14 @@ def test_nothing_to_follow_is_followed() -> None:
     association = tracks.follow(2 * PERIOD, nothing, nothing)
     assert len(association.paths) == 0
     assert tracks.positions.shape == (3, 0, 3)
+
+
+def test_of_two_samples_of_one_time_the_later_one_holds():
+    """Of two at one time nothing tells a velocity, and who asks where something was between them divides by nothing."""
+    tracks = Tracks()
+    for time, x in ((0.0, 0.0), (0.1, 0.1), (0.1, 0.12), (0.2, 0.2)):
+        tracks.extend(time, np.array([[x, 0.0, 0.0]]), np.array([-1 if time == 0 else 0]))
+    history = tracks.history
+    assert history.times.tolist() == [0.0, 0.1, 0.2]
+    np.testing.assert_allclose(history.at(0.1), [[0.12, 0, 0]])
+    np.testing.assert_allclose(history.at(0.15), [[0.16, 0, 0]])

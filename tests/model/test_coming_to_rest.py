@@ -57,6 +57,10 @@ def test_one_set_without_rest_and_it_is_counted_from_the_beginning() -> None:
     assert sets_until_settled([RESTS, RESTS, RESTS, RESTS, None, RESTS], 0.25) == 5 + 5
 
 
+def test_nobody_has_rested_through_a_pause_in_which_no_image_came() -> None:
+    assert sets_until_settled([RESTS], 20.0) == 2
+
+
 def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_again() -> None:
     gaussians, nodes = Gaussians(4, torch.device("cpu")), Nodes(2, 4)
     for _ in range(2):
@@ -68,7 +72,8 @@ def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_aga
     backgrounds = Backgrounds(None, shell_around(CAMERAS, 2.5))
     resting = Resting(gaussians, nodes, backgrounds)
     assert not nodes.free and not backgrounds.are_outdated
-    [decision] = resting.settle({0: told(RESTS), 1: told(0.1 * RESTS)}, 1.1)
+    assert not resting.settle({0: told(RESTS), 1: told(0.1 * RESTS)}, 0.6)
+    [decision] = resting.settle({0: told(RESTS), 1: told(0.1 * RESTS)}, 0.6)
     assert (decision.kind, decision.node, decision.grounds) == (Kind.SETTLED, settled, told(RESTS))
     assert [gaussians.rested[row] == settled for row in range(4)] == [True, True, False, False]
     assert gaussians.nodes[:3].tolist() == [-1, -1, 1]

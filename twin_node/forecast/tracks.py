@@ -100,4 +100,6 @@ class Tracks:
                 paths[:-1] += before - paths[-2]
             self.born = np.where(new, time, self.born[rows])
         paths[-1] = positions
-        self.positions, self.times = paths, np.append(self.times[kept:], time)
+        times = np.append(self.times[kept:], time)
+        is_last = np.append(np.diff(times) > 0, True)  # of one time the later sample holds
+        self.positions, self.times = (paths, times) if is_last.all() else (paths[is_last], times[is_last])

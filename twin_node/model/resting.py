@@ -16,7 +16,7 @@ from twin_node.model.chosen import rows_where
 from twin_node.model.deaths import are_visible
 from twin_node.model.decisions import BornBeside, ChangedView, Decision, Kind, LogEvidence
 from twin_node.model.gaussians import RGB, Gaussians
-from twin_node.model.long_rest import STANDS_NS, unseen_ns
+from twin_node.model.long_rest import MOST_UNSEEN_NS, STANDS_NS, unseen_ns
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed
 from twin_node.model.quality import MOVING_THRESHOLD, largest_channel
@@ -51,7 +51,11 @@ class Resting:
         """Stamp (ns) of the set that was asked about last."""
 
     def settle(self, resting: Mapping[int, LogEvidence], dt_s: float) -> Sequence[Decision]:
-        """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end."""
+        """Takes in which nodes, by row, have rested in the last `dt_s`; those that have for long end.
+
+        Of a pause no more counts than `MOST_UNSEEN_NS`.
+        """
+        dt_s = min(dt_s, MOST_UNSEEN_NS * 1e-9)
         g, nodes = self._gaussians, self._nodes
         ids = {int(nodes.ids[row]): row for row in resting}
         surely = {node: min((resting[row].at_rest - resting[row].one) / RESTS, 1.0) for node, row in ids.items()}
