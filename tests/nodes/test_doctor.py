@@ -82,6 +82,44 @@ def test_two_who_say_what_one_is_to_say_are_named(topic: str, msgtype: str, is_f
     assert graph_faults([first, subscriber("listener", topic, msgtype)]) == []
 
 
+def in_namespace(endpoint: Endpoint, namespace: str) -> Endpoint:
+    """Whose topics are as told; the node of `/cell` alone is in it."""
+    return replace(endpoint, node=replace(endpoint.node, namespace=namespace))
+
+
+def test_nodes_of_two_namespaces_are_no_rivals_and_those_of_one_are() -> None:
+    msgtype = "twin_msgs/msg/SeparationState"
+    a, b = (in_namespace(publisher("arm", f"/{name}{SEPARATION}", msgtype), f"/{name}") for name in "ab")
+    assert graph_faults([a, b]) == []
+    again = of_another_session(in_namespace(publisher("other", a.topic, msgtype), "/a"))
+    assert graph_faults([a, b, again]) == [
+        f"/a{SEPARATION}: /a/arm and /a/other publish it, and contradict each other; end all but one"
+    ]
+
+
+def test_a_camera_outside_the_namespace_is_brought_in_by_a_remap_of_the_name_within_it() -> None:
+    waits = in_namespace(subscriber("synchronizer", "/cell/front/image_raw"), "/cell")
+    assert graph_faults([waits, publisher("cameras", "/front/image_raw")]) == [
+        "/cell/front/image_raw: /cell/synchronizer waits for it, nobody publishes it; launch with --remap "
+        "/front/image_raw:=/front/image_raw?"
+    ]
+
+
+def test_what_nodes_of_two_namespaces_say_of_themselves_is_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    msgtype, wire, ends = "diagnostic_msgs/msg/DiagnosticArray", LocalWire(), []
+    for name, level in (("a", convert.Level.OK), ("b", convert.Level.ERROR)):
+        topic = f"/{name}{DIAGNOSTICS}"
+        message = convert.diagnostics_to_message(1, [convert.Diagnosis("arm: joints", level, "none")])
+        wire.publisher("arm", topic, TopicKind(msgtype, LATCHED))(message)
+        ends.append(replace(in_namespace(publisher("arm", topic, msgtype), f"/{name}"), qos=LATCHED))
+    ends.append(replace(in_namespace(publisher("twin", ends[0].topic, msgtype), "/a"), qos=LATCHED))
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    assert examine(wire, 0.05).faults == ("/b/arm: joints: ERROR: none",)
+    monkeypatch.setattr(doctor, "SILENCE_S", 0.05)
+    assert examine(wire, 0.05).faults[0].startswith("/a/twin: nothing comes of all that it publishes (/a/diagnostics)")
+
+
 def test_a_graph_whose_time_stands_is_told() -> None:
     follower = subscriber("clock", "/player/clock", "rosgraph_msgs/msg/Clock")  # renamed, perhaps
     [fault] = graph_faults([follower])

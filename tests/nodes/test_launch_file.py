@@ -267,6 +267,19 @@ def test_a_remap_that_changes_nothing_is_refused(small: Path, remap: str, words:
         remapped(read_launch_file(small, ["log:=a"]), [remap])
 
 
+def test_all_nodes_are_put_into_a_namespace(small: Path, tmp_path: Path) -> None:
+    plan = read_launch_file(small, ["log:=a"])
+    assert plan.zenoh.namespace == remapped(plan, ["/joint_states:=/a"]).zenoh.namespace == "/"
+    placed = remapped(plan, ["__ns:=/first", "/joint_states:=/a", "__ns:=/cell"])
+    assert placed.zenoh.namespace == "/cell", "the last one, as ROS has it"
+    assert placed.remaps == {"/joint_states": "/a"}
+    file = tmp_path / "placed.yaml"
+    file.write_text(small.read_text().replace("launch:\n", "launch:\n  zenoh: {namespace: /line/cell}\n", 1))
+    assert read_launch_file(file, ["log:=a"]).zenoh.namespace == "/line/cell"
+    with pytest.raises(TwinError, match=r"namespace: expected one such as /cell, .* found 'cell'"):
+        remapped(plan, ["__ns:=cell"])
+
+
 def test_lockstep_has_nobody_to_show_a_page() -> None:
     with pytest.raises(TwinError, match=r"process 'page': node 'viewer' has no part in lockstep, .*; leave it out"):
         read_launch_file("launch/replay.yaml", ["log:=a", "lockstep:=true", "viewer:=true"])
@@ -276,6 +289,8 @@ def test_lockstep_has_nothing_to_rename() -> None:
     plan = read_launch_file("launch/replay.yaml", ["log:=a", "lockstep:=true"])
     with pytest.raises(TwinError, match="in lockstep there is no graph"):
         remapped(plan, ["/joint_states:=/a"])
+    with pytest.raises(TwinError, match="namespace: expected where there is a graph"):
+        remapped(plan, ["__ns:=/a"])
 
 
 def test_parameter_files_win_over_the_launch_file_and_the_command_line_over_them(small: Path, tmp_path: Path) -> None:

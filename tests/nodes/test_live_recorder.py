@@ -38,12 +38,14 @@ class Studio:
         is_active: bool = True,
         say: Callable[[str], None] | None = None,
         remaps: Mapping[str, str] | None = None,
+        namespace: str = "/",
         **more: Any,
     ) -> None:
         self.said: list[str] = []
         self.graph: tuple[Endpoint, ...] = ()
         self.is_finished = False
         self._wire, self._executor = LocalWire(), Executor()
+        self._wire.namespace = namespace
         bus = WireBus(self._wire, self._executor, "recorder", kind_of, remaps)
         say = say or self.said.append
         setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, lambda: self.graph, say)
@@ -332,3 +334,34 @@ def test_names_that_no_topic_has_are_refused(tmp_path: Path, topic: str) -> None
     with pytest.raises(GraphError, match="record: recorder: expected names of topics such as /joint_states, found"):
         make_recorder(setup)
     assert not (tmp_path / "run").exists()
+
+
+def test_what_nodes_of_a_namespace_say_is_recorded_under_their_own_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is replayed, drawn and judged as any other; what those of others say is theirs."""
+    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.001)
+    string = message_type("std_msgs/msg/String")
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), namespace="/cell", all=True)
+    node = NodeIdentity("ab", 0, "somebody", "/cell")
+    topics = ("/cell/notes", "/other/notes", "/notes", "/rosout")
+    kind = TopicKind("std_msgs/msg/String", Qos(depth=10))
+    studio.graph = tuple(
+        Endpoint(EntityKind.PUBLISHER, node, 1, topic, kind.msgtype or "", "", kind.qos) for topic in topics
+    )
+    studio.step()
+    for topic in topics:
+        studio.hear(topic, string(data=topic))
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        found = {entry.topic: entry.message.data for entry in log.messages()}
+    assert found == {"/notes": "/cell/notes", "/rosout": "/rosout"}
+
+
+def test_the_topics_asked_for_are_those_of_the_namespace(tmp_path: Path) -> None:
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), namespace="/cell")
+    studio.hear_diagnostics()
+    studio.hear(f"/cell{DIAGNOSTICS}", convert.diagnostics_to_message(0, []))
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [m.topic for m in log.messages()] == [DIAGNOSTICS]

@@ -182,6 +182,17 @@ def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> 
     assert cameras() is None
 
 
+def test_cameras_of_the_viewers_own_namespace_are_shown_under_their_own_names(graph: Graph) -> None:
+    graph.wire.namespace = "/cell"
+    front, left = (RigCamera(n, 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4)) for n in ("cam_front", "cam_left"))
+    cameras = GraphCameras(graph.setup, 32, Rig((front, left)))
+    for topic in ("/cell/cam_front/image_raw", "/other/cam_front/image_raw", "/cam_left/image_raw"):
+        graph.published.append(publisher(topic))
+    found = cameras()
+    assert found is not None
+    assert [(camera.name, camera.image) for camera in found.topics] == [("cam_front", "/cam_front/image_raw")]
+
+
 def test_a_message_that_cannot_be_shown_is_told_and_the_next_one_shown(graph: Graph) -> None:
     wrong = JointSample(START, ("axis_1", "axis_2"), np.zeros(2), np.zeros(2))
     graph.send(JOINT_STATES, convert.joint_sample_to_message(wrong))

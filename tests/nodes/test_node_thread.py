@@ -169,11 +169,16 @@ def test_what_a_node_cannot_use_is_told_and_what_it_cannot_survive_ends_it(
     assert bench.life[-2:] == ["deactivate", "cleanup"]
 
 
-def test_what_a_node_tells_is_told_to_the_graph_too(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("namespace", "logger"), [("/", "talker"), ("/line/cell", "line.cell.talker")])
+def test_what_a_node_tells_is_told_to_the_graph_too(
+    monkeypatch: pytest.MonkeyPatch, namespace: str, logger: str
+) -> None:
     """Also what it told before it joined, from whatever thread: consoles of ROS 2 read /rosout."""
     said: list[str] = []
-    monkeypatch.setattr(node_thread, "find_factory", lambda name: Talker)
+    setups: list[Setup] = []
+    monkeypatch.setattr(node_thread, "find_factory", lambda name: lambda setup: setups.append(setup) or Talker(setup))
     wire, arrived = LocalWire(), threading.Semaphore(0)
+    wire.namespace = namespace
     heard: list[Any] = []
     wire.subscribe("console", ROSOUT, kind_of(ROSOUT), lambda message: (heard.append(message), arrived.release()))
     thread = NodeThread("talker", ORDER, wire, SystemClock(), lambda: None, said.append)
@@ -186,7 +191,8 @@ def test_what_a_node_tells_is_told_to_the_graph_too(monkeypatch: pytest.MonkeyPa
         assert arrived.acquire(timeout=WAIT_S)
     thread.stop()
     assert said == ["made", "configured", "active"] == [message.msg for message in heard]
-    assert {(message.name, message.level) for message in heard} == {("talker", heard[0].INFO)}
+    assert {(message.name, message.level) for message in heard} == {(logger, heard[0].INFO)}
+    assert setups[0].namespace == namespace
     assert heard[0].stamp.sec > 1_700_000_000
 
 

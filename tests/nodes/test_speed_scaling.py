@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes.arm import Driving
 from twin_node.nodes.live import speed_scaling
-from twin_node.nodes.live.beside_twin import _driving
+from twin_node.nodes.live.beside_twin import _driving, _who_obeys
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.speed_scaling import KeptShare, SpeedScalingParameters, make_speed_scaling
 from twin_node.nodes.topics import JOINT_STATES, SEPARATION, kind_of, kind_of_own
@@ -292,3 +292,6 @@ def test_an_arm_that_is_slowed_so_is_one_that_obeys() -> None:
     )
     assert _driving([hears]) is Driving.BY_SLIDER
     assert _driving([]) is Driving.NOBODY
+    ours, theirs = (SimpleNamespace(endpoints=lambda: [hears], namespace=namespace) for namespace in ("/", "/a"))
+    assert _who_obeys(cast(Setup, ours)) is Driving.BY_SLIDER
+    assert _who_obeys(cast(Setup, theirs)) is Driving.NOBODY, "it drives the arm of another cell"

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 
@@ -70,6 +71,25 @@ def test_a_node_of_that_name_in_a_namespace_is_another_one(network: ZenohParamet
         tokens = [session.liveliness().declare_token(node_token(NodeIdentity("a1", 0, "arm", "/line")))]
         assert names.taken() is None
         tokens.append(session.liveliness().declare_token(node_token(NodeIdentity("a1", 1, "arm"))))
+        until = time.monotonic() + 20.0
+        while names.taken() is None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert names.taken() == "arm"
+
+
+def test_launches_of_two_namespaces_have_nodes_of_the_same_names(network: ZenohParameters) -> None:
+    cell = replace(network, namespace="/cell")
+    with NodeNames(network, ["twin"]) as first, NodeNames(cell, ["twin", "recorder"]) as other:
+        assert first.taken() is None
+        assert other.taken() is None, "the recorder that is alive is not of this namespace"
+        with NodeNames(cell, ["twin"]) as third:
+            assert third.taken() == "twin"
+            until = time.monotonic() + 20.0
+            while third.claimed() is None and time.monotonic() < until:
+                time.sleep(0.01)
+            assert third.claimed() == "twin"
+    with contextlib.closing(ZenohWire(cell)) as wire, NodeNames(cell, ["arm"]) as names:
+        wire.subscribe("arm", SEPARATION, kind_of_own(SEPARATION), lambda _: None)
         until = time.monotonic() + 20.0
         while names.taken() is None and time.monotonic() < until:
             time.sleep(0.01)

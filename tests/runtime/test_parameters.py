@@ -112,3 +112,15 @@ def test_a_ros_parameter_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     path.write_text("model:\n  ros__parameters: {width: 3}\nforecast:\n  ros__parameters:\n")
     assert read_parameters(path) == {"model": {"width": 3}, "forecast": {}}
+
+
+def test_nodes_are_named_as_ros_dumps_them_too(tmp_path: Path) -> None:
+    """What `ros2 param dump /arm` wrote was refused: no node has a slash in its name."""
+    path = tmp_path / "dumped.yaml"
+    path.write_text("/arm: {ros__parameters: {model: ur3e}}\n/**: {ros__parameters: {rig: {log: a}}}\n")
+    assert read_parameters(path) == {"arm": {"model": "ur3e"}, "/**": {"rig": {"log": "a"}}}
+    path.write_text("/line/arm: {ros__parameters: {}}\n")
+    assert read_parameters(path) == {"/line/arm": {}}
+    path.write_text("/arm: {ros__parameters: {model: ur3e}}\narm: {ros__parameters: {model: ur5e}}\n")
+    with pytest.raises(ParameterError, match="expected each node once, found 'arm' and '/arm'; make them one"):
+        read_parameters(path)

@@ -98,6 +98,44 @@ def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() ->
     assert talker.bus.resolved("/map") == "/other/map"
 
 
+class CellWire(LocalWire):
+    namespace = "/cell"
+
+
+def test_topics_have_their_namespace_before_them_but_for_those_that_are_renamed_or_of_all() -> None:
+    executor = Executor()
+    bus = WireBus(CellWire(), executor, "twin", kind_of, {"/image": "/driver/image", "/status": "/cell/told"})
+    names = ("/map", "/image", "/status", "/clock")
+    assert [bus.resolved(name) for name in names] == ["/cell/map", "/driver/image", "/cell/told", "/clock"]
+    assert [bus.renamed(name) for name in names] == ["/map", "/driver/image", "/cell/told", "/clock"]
+    assert [bus.named(bus.resolved(name)) for name in names] == list(names)
+    assert bus.named("/map") is None and bus.named("/other/map") is None
+
+
+def test_twins_of_two_namespaces_do_not_hear_each_other(zenoh_router: ZenohParameters) -> None:
+    """What is of all they hear both, and others find their nodes and topics under their full names."""
+    wires = [ZenohWire(replace(zenoh_router, namespace=namespace)) for namespace in ("/a", "/b", "/")]
+    a, b, outside = (Side(wire, "twin") for wire in wires)
+    try:
+        for side in (a, b):
+            side.listen("/chatter")
+            side.listen("/clock")
+        outside.listen("/a/chatter")
+        assert send_until_heard(a, outside, "/chatter", text("of a")).data == "of a"
+        assert send_until_heard(outside, b, "/clock", text("of all")).data == "of all"
+        assert {message.data for message in b.seen} == {"of all"}
+        expected = {("/a", "/a/chatter"), ("/b", "/b/chatter"), ("/b", "/clock"), ("/", "/a/chatter")}
+        for _ in range(ATTEMPTS):
+            listens = {(e.node.namespace, e.topic) for e in wires[2].endpoints() if e.kind.name == "SUBSCRIBER"}
+            if expected <= listens:
+                return
+            outside.executor.step(0.1)
+        raise AssertionError(f"found {listens}")
+    finally:
+        for wire in wires:
+            wire.close()
+
+
 def test_nobody_speaks_before_the_network_is_joined(zenoh_router: ZenohParameters) -> None:
     wire = LateWire(zenoh_router)
     side = Side(wire, "early")

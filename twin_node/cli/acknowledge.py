@@ -6,6 +6,8 @@ import argparse
 import sys
 from typing import Any
 
+from twin_node.cli.arguments import add_namespace
+
 
 def add_acknowledge(commands: Any) -> None:
     """Adds `acknowledge` to the subcommands."""
@@ -16,14 +18,15 @@ def add_acknowledge(commands: Any) -> None:
         "ur-driver runs. Look at the cell first: the arm may move at once. Exit status: 0 the arm is not halted, 1 it "
         "still is.",
     )
+    add_namespace(parser, "the driver")
     parser.set_defaults(run=_acknowledge)
 
 
-def _acknowledge(_: argparse.Namespace) -> int:
+def _acknowledge(options: argparse.Namespace) -> int:
     from twin_node.nodes.live.acknowledging import acknowledge
     from twin_node.nodes.live.single import open_wire
 
-    with open_wire() as wire:
+    with open_wire(namespace=options.namespace) as wire:
         before, after = acknowledge(wire)
     if not before.is_halted:
         print(f"no halt waits for somebody; {before}")

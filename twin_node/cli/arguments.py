@@ -57,6 +57,11 @@ def add_log(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
 
 
+def add_namespace(parser: argparse.ArgumentParser, of: str) -> None:
+    """`of`: what is in the namespace."""
+    parser.add_argument("--namespace", metavar="/NAME", help=f"namespace of {of} on the graph (default: none)")
+
+
 def add_remap(parser: argparse.ArgumentParser) -> None:
     """New names for topics of a log."""
     parser.add_argument(

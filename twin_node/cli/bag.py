@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import add_log, not_negative, positive, speed, whole
+from twin_node.cli.arguments import add_log, add_namespace, not_negative, positive, speed, whole
 
 
 def add_record(commands: Any) -> None:
@@ -35,6 +35,7 @@ def add_record(commands: Any) -> None:
         default="none",
         help="of the file's chunks; zstd makes what a twin says a quarter, for a twentieth of a core (default none)",
     )
+    add_namespace(record, "the twin that is recorded, under its own names,")
     record.set_defaults(run=_record)
 
 
@@ -76,6 +77,7 @@ def add_play(commands: Any) -> None:
     play.add_argument(
         "--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages read ahead (default 1000)"
     )
+    add_namespace(play, "what is played")
     play.set_defaults(run=_play)
 
 
@@ -99,7 +101,7 @@ def _record(options: argparse.Namespace) -> None:
     }
     if options.topics:
         parameters["topics"] = [topic if topic.startswith("/") else f"/{topic}" for topic in options.topics]
-    run_single("recorder", parameters, "record")
+    run_single("recorder", parameters, "record", namespace=options.namespace)
 
 
 def _play(options: argparse.Namespace) -> None:
@@ -114,7 +116,9 @@ def _play(options: argparse.Namespace) -> None:
     def listen(node: Any) -> None:
         threading.Thread(target=_toggle_pause, args=(node,), name="keyboard", daemon=True).start()
 
-    run_single("player", {"log": str(options.log), **parameters}, "play", listen if sys.stdin.isatty() else None)
+    wanted = {"log": str(options.log), **parameters}
+    keyboard = listen if sys.stdin.isatty() else None
+    run_single("player", wanted, "play", keyboard, namespace=options.namespace)
 
 
 def _toggle_pause(player: Any) -> None:

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twin_node.cli.arguments import add_namespace
+
 if TYPE_CHECKING:
     from twin_node.nodes.launch.launch_file import LaunchPlan
 
@@ -44,6 +46,7 @@ def add_launch(commands: Any) -> None:
     parser.add_argument(
         "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="rename a topic of all nodes; repeatable"
     )
+    add_namespace(parser, "all nodes and their topics (also -r __ns:=/NAME)")
     parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
     parser.add_argument("--one-process", action="store_true", help="all nodes in one process, a thread each")
     parser.add_argument(
@@ -60,10 +63,11 @@ def _launch(options: argparse.Namespace) -> int | None:
             default = "required" if argument.is_required else f"default: {argument.default!r}"
             print(f"{argument.name}:=  {argument.help} ({default})")
         return None
-    from twin_node.nodes.launch.launch_file import in_one_process, read_launch_file, remapped
+    from twin_node.nodes.launch.launch_file import NAMESPACE, in_one_process, read_launch_file, remapped
 
     plan = read_launch_file(options.file, options.arguments, options.param, options.params_file)
-    plan = remapped(plan, options.remap)
+    given = [] if options.namespace is None else [f"{NAMESPACE}:={options.namespace}"]
+    plan = remapped(plan, [*options.remap, *given])
     return _run(in_one_process(plan) if options.one_process else plan, options.log_dir)
 
 

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import positive, whole
+from twin_node.cli.arguments import add_namespace, positive, whole
 
 if TYPE_CHECKING:
     from twin_node.nodes.driver_log import DriverLog
@@ -78,6 +78,7 @@ def add_ur_driver(commands: Any) -> None:
     parser.add_argument("--decisions", type=Path, metavar="LOG.mcap", help="play /twin/separation of this log")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what it publishes in a new log")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
+    add_namespace(parser, "the twin that decides")
     parser.set_defaults(run=_run)
 
 
@@ -90,6 +91,8 @@ def _run(options: argparse.Namespace) -> None:
 
     if options.output is not None and options.output.exists():
         raise ArmError(f"-o {options.output}: exists already; remove it or choose another name")
+    if options.decisions is not None and options.namespace:
+        raise ArmError("--namespace: expected where the graph decides; leave it out with --decisions")
     parameters = UrParameters(
         robot=options.robot,
         model=options.model,
@@ -102,7 +105,7 @@ def _run(options: argparse.Namespace) -> None:
         plays=options.play,
     )
     with contextlib.ExitStack() as stack:
-        pace: _Pace = _GraphPace(stack) if options.decisions is None else _LogPace(options.decisions, stack)
+        pace: _Pace = _pace(options, stack)
         pace.last(options.duration)
         for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
             signal.signal(number, pace.end)
@@ -119,6 +122,12 @@ def _run(options: argparse.Namespace) -> None:
         lost = _watch(node, pace, is_ending_when_lost=options.no_reconnect)
     if lost is not None:
         raise ArmError(lost)
+
+
+def _pace(options: argparse.Namespace, stack: contextlib.ExitStack) -> _Pace:
+    if options.decisions is None:
+        return _GraphPace(options.namespace, stack)
+    return _LogPace(options.decisions, stack)
 
 
 @contextlib.contextmanager
@@ -182,7 +191,7 @@ class _Pace(ABC):
 class _GraphPace(_Pace):
     """Hears the graph, by the time of day."""
 
-    def __init__(self, stack: contextlib.ExitStack) -> None:
+    def __init__(self, namespace: str | None, stack: contextlib.ExitStack) -> None:
         from twin_node.nodes.live.single import open_wire
         from twin_node.nodes.topics import kind_of
         from twin_node.nodes.ur_driver import DRIVER
@@ -191,7 +200,7 @@ class _GraphPace(_Pace):
         from twin_node.runtime.wire_bus import WireBus
 
         super().__init__()
-        wire = stack.enter_context(open_wire(sole=DRIVER))
+        wire = stack.enter_context(open_wire(sole=DRIVER, namespace=namespace))
         self._executor, self.clock = Executor(), SystemClock()
         self.bus = WireBus(wire, self._executor, DRIVER, kind_of)
         # Under another name: by what the driver's node listens to, others know how it drives.

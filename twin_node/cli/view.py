@@ -11,7 +11,16 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_arm, add_remap, arm_of, not_negative, port, refuse_given, width
+from twin_node.cli.arguments import (
+    add_arm,
+    add_namespace,
+    add_remap,
+    arm_of,
+    not_negative,
+    port,
+    refuse_given,
+    width,
+)
 from twin_node.cli.ending import SIGNALS, ended_by
 from twin_node.cli.playback import open_playback
 from twin_node.errors import TwinError
@@ -34,6 +43,7 @@ def add_view(commands: Any) -> None:
     view.add_argument(
         "--endpoint", metavar="ADDRESS", help="with --live: the graph's router (default tcp/127.0.0.1:7447)"
     )
+    add_namespace(view, "the twin, with --live,")
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
     add_remap(view)
     add_arm(view)
@@ -55,8 +65,9 @@ def _view(options: argparse.Namespace) -> None:
             raise TwinError("--remap: expected with a LOG; a graph's topics are renamed where they are launched")
         _view_graph(options)
         return
-    if options.endpoint:
-        raise TwinError("view: --endpoint is for --live; leave it out to look at a log")
+    for name in ("endpoint", "namespace"):
+        if getattr(options, name):
+            raise TwinError(f"view: --{name} is for --live; leave it out to look at a log")
     view_log(
         options.log,
         arm_of(options),
@@ -133,4 +144,5 @@ def _view_graph(options: argparse.Namespace) -> None:
     if options.width:
         parameters["width"] = options.width
     zenoh = ZenohParameters(endpoint=options.endpoint) if options.endpoint else None
-    run_single("viewer", parameters, "view", zenoh=zenoh, others={"arm": asdict(arm_of(options))}, follows_clock=True)
+    arm = {"arm": asdict(arm_of(options))}
+    run_single("viewer", parameters, "view", None, zenoh, arm, follows_clock=True, namespace=options.namespace)

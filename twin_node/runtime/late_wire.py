@@ -18,6 +18,11 @@ class LateWire:
         self._parameters = parameters
         self._opened: ZenohWire | None = None
 
+    @property
+    def namespace(self) -> str:
+        """As `ZenohWire.namespace`."""
+        return self._parameters.namespace
+
     def open(self) -> None:
         """Joins the network. Raises `WireError` where zenoh is not installed, or its configuration is refused."""
         self._opened = ZenohWire(self._parameters)

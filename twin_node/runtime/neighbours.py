@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
-from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, full_name, node_of_token
+from twin_node.runtime.names import full_name
+from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, mangled, node_of_token
 from twin_node.runtime.zenoh_session import ZenohParameters, open_client
 
 CLAIM_SPACE = "@twin_node"
@@ -25,15 +26,16 @@ class NodeNames:
     """
 
     def __init__(self, parameters: ZenohParameters, nodes: Sequence[str]) -> None:
-        """Claims the names. Raises `WireError` where no router answers."""
+        """Claims the names, in the namespace of `parameters`. Raises `WireError` where no router answers."""
         self._parameters = parameters
-        self._nodes = frozenset(nodes)
+        self._full = {mangled(full_name(node, parameters.namespace)): node for node in nodes}
+        """Names with their namespace, as tokens have them -> those without it."""
         self._session = open_client(parameters)
         self._id = str(self._session.info.zid())
         space = f"{CLAIM_SPACE}/{parameters.domain_id}/{self._id}"
         # Before anybody looks: of two that do so at once, at least the later one sees the other.
-        self._tokens = [self._session.liveliness().declare_token(f"{space}/{node}") for node in sorted(self._nodes)]
-        self._claims = _Claims(self._id, self._nodes)
+        self._tokens = [self._session.liveliness().declare_token(f"{space}/{node}") for node in sorted(self._full)]
+        self._claims = _Claims(self._id, self._full)
         self._ear: Any | None = None
 
     def taken(self) -> str | None:
@@ -88,15 +90,16 @@ class NodeNames:
         domain = self._parameters.domain_id
         alive = {node_of_token(token) for token in _tokens(self._session, f"{ADMIN_SPACE}/{domain}/**")}
         claimed = [token.split("/")[2:] for token in _tokens(self._session, f"{CLAIM_SPACE}/{domain}/*/*")]
-        others = {(by, name) for by, name in claimed if by != self._id and name in self._nodes}
-        return frozenset(others | {("", name) for name in self._nodes if full_name(name) in alive})
+        others = {(by, self._full[name]) for by, name in claimed if by != self._id and name in self._full}
+        alive_here = {name for name in self._full.values() if full_name(name, self._parameters.namespace) in alive}
+        return frozenset(others | {("", name) for name in alive_here})
 
 
 class _Claims:
     """Hears, in zenoh's threads, who else claims names that a launch has."""
 
-    def __init__(self, own: str, nodes: Collection[str]) -> None:
-        """`own`: the number of the launch's session."""
+    def __init__(self, own: str, nodes: Mapping[str, str]) -> None:
+        """`own`: the number of the launch's session; `nodes`: their names, by those that tokens have."""
         self._own = own
         self._nodes = nodes
         self._tokens: dict[str, float] = {}
@@ -113,7 +116,8 @@ class _Claims:
 
     def since(self) -> list[tuple[str, float]]:
         """Names that others claim now, and since when each was heard to be claimed, monotonic, s."""
-        return [(token.rpartition("/")[2], since) for token, since in tuple(self._tokens.items())]
+        heard = tuple(self._tokens.items())
+        return [(self._nodes[token.rpartition("/")[2]], since) for token, since in heard]
 
 
 def _tokens(session: Any, pattern: str) -> list[str]:

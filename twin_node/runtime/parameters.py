@@ -38,7 +38,8 @@ class _RefusedError(Exception):
 def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
     """Node name -> its `ros__parameters`, of a ROS 2 parameter file or a launch file.
 
-    Raises `ParameterError` when the file is not one.
+    A slash before the name, as `ros2 param dump` writes it, is no part of it. Raises `ParameterError` when the file is
+    not one.
     """
     content = read_yaml(path, "a parameter file (YAML)", ParameterError)
     if not isinstance(content, dict):
@@ -52,7 +53,14 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
             raise ParameterError(
                 f"{path}: node '{node}': ros__parameters: expected keys and values, found {told(values)}"
             )
-    return {str(node): section["ros__parameters"] or {} for node, section in content.items()}
+    sections: dict[str, Mapping[str, Any]] = {}
+    for node, section in content.items():
+        is_full = node != EVERY_NODE and str(node).count("/") == 1
+        name = str(node).removeprefix("/") if is_full else str(node)
+        if name in sections:
+            raise ParameterError(f"{path}: expected each node once, found '{name}' and '/{name}'; make them one")
+        sections[name] = section["ros__parameters"] or {}
+    return sections
 
 
 def values_of(kind: type[Any], name: str, sections: Sections) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import struct
 from dataclasses import dataclass
 from enum import Enum
 
+from twin_node.runtime.names import ROOT, full_name
 from twin_node.runtime.qos import Qos
 
 ADMIN_SPACE = "@ros2_lv"
@@ -41,7 +42,7 @@ class NodeIdentity:
     number: int
     """Counts the session's nodes."""
     name: str
-    namespace: str = "/"
+    namespace: str = ROOT
     domain: int = 0
 
 
@@ -112,15 +113,15 @@ def qos_text(qos: Qos) -> str:
 
 def node_token(node: NodeIdentity) -> str:
     """Liveliness token of a node."""
-    return f"{_prefix(node, node.number, EntityKind.NODE)}/{_mangled(node.namespace)}/{node.name}"
+    return f"{_prefix(node, node.number, EntityKind.NODE)}/{mangled(node.namespace)}/{node.name}"
 
 
 def endpoint_token(endpoint: Endpoint) -> str:
     """Liveliness token of what a node sends, hears, serves or asks."""
     node = endpoint.node
-    prefix = f"{_prefix(node, endpoint.number, endpoint.kind)}/{_mangled(node.namespace)}/{node.name}"
+    prefix = f"{_prefix(node, endpoint.number, endpoint.kind)}/{mangled(node.namespace)}/{node.name}"
     kind = f"{dds_type(endpoint.msgtype)}/{endpoint.type_hash}"
-    return f"{prefix}/{_mangled(endpoint.topic)}/{kind}/{qos_text(endpoint.qos)}"
+    return f"{prefix}/{mangled(endpoint.topic)}/{kind}/{qos_text(endpoint.qos)}"
 
 
 def parse_token(token: str) -> Endpoint | None:
@@ -144,11 +145,6 @@ def node_of_token(token: str) -> str | None:
     return full_name(parts[8], _plain(parts[7])) if is_node else None
 
 
-def full_name(node: str, namespace: str = "/") -> str:
-    """A node's name with its namespace: `/cell/twin`, or `/twin` in that of all."""
-    return f"{namespace.rstrip('/')}/{node}"
-
-
 def gid_of(token: str) -> bytes:
     """[16] a publisher's identifier: XXH3-128 of its token, low half first."""
     import xxhash
@@ -161,7 +157,8 @@ def _prefix(node: NodeIdentity, entity: int, kind: EntityKind) -> str:
     return f"{ADMIN_SPACE}/{node.domain}/{node.session}/{node.number}/{entity}/{kind.value}/%"
 
 
-def _mangled(name: str) -> str:
+def mangled(name: str) -> str:
+    """A name as one part of a token."""
     return name.replace("/", "%")
 
 

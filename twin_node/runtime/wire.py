@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from twin_node.messages import Message, MessageTypes, builtin_types, serialize
 from twin_node.messages.services import ServiceType
+from twin_node.runtime.names import ROOT
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.services import Answer
@@ -49,6 +50,10 @@ Cancel = Callable[[], None]
 class Wire(Protocol):
     """Topics that reach beyond one thread."""
 
+    @property
+    def namespace(self) -> str:
+        """Of all its nodes."""
+
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
         """A function that sends messages of node `node` on `topic`; it may be called in any one thread at a time."""
 
@@ -62,7 +67,10 @@ class Wire(Protocol):
         """Whether anybody would get what node `node` sends on `topic`."""
 
     def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
-        """Answers as node `node` what other processes ask of the service `name`, until cancelled."""
+        """Answers as node `node` what other processes ask of the service `name`, until cancelled.
+
+        `name`: without the namespace.
+        """
 
     def endpoints(self) -> tuple[Endpoint, ...]:
         """What nodes of the whole graph send, hear and serve, as far as this end has been told by now."""
@@ -73,6 +81,8 @@ class Wire(Protocol):
 
 class LocalWire:
     """Carries messages between the threads of this process, by reference: they must not be changed."""
+
+    namespace = ROOT
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

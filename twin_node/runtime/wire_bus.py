@@ -9,6 +9,7 @@ from typing import Any
 from twin_node.errors import TwinError
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Executor, Inbox
+from twin_node.runtime.names import within, without
 from twin_node.runtime.qos import KindOf, TopicKind
 from twin_node.runtime.wire import Cancel, Encoded, Send, Sink, Wire, encoded
 
@@ -83,7 +84,8 @@ class WireBus:
     ) -> None:
         """`node`: the name that others see; `kind_of`: what topics carry, where `declare` has not said otherwise.
 
-        `remaps`: the nodes' own names of topics -> those that they have on the wire.
+        `remaps`: the nodes' own names of topics -> those that they have on the wire; others have the wire's namespace
+        before them.
         """
         self._wire = wire
         self._executor = executor
@@ -104,7 +106,16 @@ class WireBus:
 
     def resolved(self, topic: str) -> str:
         """The name that a node's topic has on the wire."""
+        return self._remaps.get(topic) or within(self._wire.namespace, topic)
+
+    def renamed(self, topic: str) -> str:
+        """The same without the wire's namespace."""
         return self._remaps.get(topic, topic)
+
+    def named(self, topic: str) -> str | None:
+        """The node's own name of a topic on the wire; None: it is of another namespace."""
+        own = next((own for own, name in self._remaps.items() if name == topic), None)
+        return own or without(self._wire.namespace, topic)
 
     def publish(self, topic: str, message: Any) -> None:
         """Send `message`, which may be `Encoded`, to everyone who subscribes to `topic`."""

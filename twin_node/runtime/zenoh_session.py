@@ -13,6 +13,7 @@ from typing import Any
 
 from twin_node.errors import TwinError
 from twin_node.ranges import PORTS
+from twin_node.runtime.names import ROOT, is_namespace
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH
 
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -58,6 +59,8 @@ class ZenohParameters:
     """The same for the built-in router."""
     domain: int | None = None
     """ROS domain; None: `ROS_DOMAIN_ID`, or 0."""
+    namespace: str = ROOT
+    """Of this process's nodes and of their topics; `/cell` has `/cell/twin` and `/cell/twin/obstacles`."""
     ros_distro: str = "jazzy"
     """Whose wire format is spoken: humble knows no type hashes, all later ones do."""
     shared_memory: bool = True
@@ -68,6 +71,10 @@ class ZenohParameters:
             raise WireError(f"zenoh router: expected auto, builtin or external, found '{self.router}'")
         if self.ros_distro not in DISTRIBUTIONS:
             raise WireError(f"ros_distro: expected one of {', '.join(DISTRIBUTIONS)}, found '{self.ros_distro}'")
+        if not is_namespace(self.namespace):
+            raise WireError(
+                f"namespace: expected one such as /cell, of letters, digits and underscores, found '{self.namespace}'"
+            )
         for endpoint in (self.endpoint, *filter(None, self.routers)):
             _check_port(endpoint)
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from twin_node.messages import builtin_types
 from twin_node.messages.services import ServiceType
+from twin_node.runtime.names import within
 from twin_node.runtime.qos import RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import (
     ADMIN_SPACE,
@@ -64,6 +65,11 @@ class ZenohWire:
         self.refused = 0
         """Samples that came out of order."""
 
+    @property
+    def namespace(self) -> str:
+        """Of all its nodes."""
+        return self._parameters.namespace
+
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
         """A function that sends messages to this process by reference, and to others where any listens."""
         send_here = self._local.publisher(node, topic, kind)
@@ -108,7 +114,11 @@ class ZenohWire:
         return cancel
 
     def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
-        """Answers as node `node` what other processes ask of the service `name`, until cancelled."""
+        """Answers as node `node` what other processes ask of the service `name`, until cancelled.
+
+        `name`: without the namespace.
+        """
+        name = within(self.namespace, name)
         type_hash = self._parameters.spoken(service.type_hash)
         kind = TopicKind(service.name, RELIABLE)
         endpoint = self._endpoint(EntityKind.SERVICE, node, name, kind, type_hash)
@@ -208,7 +218,7 @@ class ZenohWire:
             if identity is not None:
                 return identity
             session = str(self._session.info.zid())
-            identity = NodeIdentity(session, next(self._numbers), name, domain=self._domain)
+            identity = NodeIdentity(session, next(self._numbers), name, self.namespace, self._domain)
             self._nodes[name] = identity
         self._announce(node_token(identity))
         return identity

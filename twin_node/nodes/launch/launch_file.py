@@ -32,6 +32,9 @@ from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
 
+NAMESPACE = "__ns"
+"""What ROS has in place of a topic to say in which namespace nodes are."""
+
 
 @dataclass(frozen=True)
 class LaunchPlan:
@@ -107,18 +110,23 @@ def read_launch_file(
 
 
 def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
-    """The plan with `from:=to` names of topics for all its nodes.
+    """The plan with `from:=to` names of topics for all its nodes, and with `__ns:=/name` for their namespace.
 
-    Raises `GraphError` for a topic that no node has, unless a node of another package takes part, and in lockstep.
+    Raises `GraphError` for a topic that no node has, unless a node of another package takes part, and in lockstep,
+    `WireError` for what is no namespace.
     """
-    pairs = parse_remaps(list(remaps))
+    namespaces = [remap.partition(":=")[2] for remap in remaps if remap.startswith(f"{NAMESPACE}:=")]
+    pairs = parse_remaps([remap for remap in remaps if not remap.startswith(f"{NAMESPACE}:=")])
+    if plan.is_lockstep and namespaces:
+        raise GraphError("namespace: expected where there is a graph; in lockstep there is none, so leave it out")
     if plan.is_lockstep and pairs:
         raise GraphError(
             "--remap: in lockstep there is no graph; rename what the log holds with -p player.remap:=[A:=B]"
         )
     if not _have_foreign(plan.processes):
         check_remaps(pairs)
-    return replace(plan, remaps=pairs)
+    zenoh = replace(plan.zenoh, namespace=namespaces[-1]) if namespaces else plan.zenoh
+    return replace(plan, remaps=pairs, zenoh=zenoh)
 
 
 def _have_foreign(processes: Sequence[ProcessPlan]) -> bool:

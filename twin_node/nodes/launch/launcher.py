@@ -171,8 +171,8 @@ class Launcher:
     def _alive_already(self, node: str) -> GraphError:
         return GraphError(
             f"{self._plan.path}: node '{node}' is alive already in ROS domain {self._plan.zenoh.domain_id}, in another "
-            "launch or by a command of its own (record, play, view --live, ur-driver); end that, or set ROS_DOMAIN_ID "
-            "to another number for this one"
+            "launch or by a command of its own (record, play, view --live, ur-driver); end that, or give this one "
+            "another --namespace, or another number as ROS_DOMAIN_ID"
         )
 
     def _tell_of_foreign_router(self) -> None:

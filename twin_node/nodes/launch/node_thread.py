@@ -20,6 +20,7 @@ from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
+from twin_node.runtime.names import full_name
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameter_services import serve_parameters
 from twin_node.runtime.parameter_values import Parameter
@@ -94,6 +95,7 @@ class NodeThread:
             self._tell,
             Path(self._order.kept) if self._order.kept else None,
             lambda: self._executor.is_stopped,
+            namespace=self._wire.namespace,
         )
         self._node = find_factory(self.name)(setup)
         self._is_deaf = False
@@ -227,7 +229,8 @@ class NodeThread:
         self._lines.offer(line)
 
     def _log(self, line: str) -> None:
-        self._bus.publish(ROSOUT, convert.line_to_log(self._clock.now(), self.name, line))
+        logger = full_name(self.name, self._wire.namespace).removeprefix("/").replace("/", ".")  # as rclcpp names them
+        self._bus.publish(ROSOUT, convert.line_to_log(self._clock.now(), logger, line))
 
     def _finish(self) -> None:
         self._executor.stop()

@@ -56,7 +56,7 @@ def acknowledge(wire: Wire) -> tuple[Told, Told]:
     if not heard:
         raise GraphError(
             f"expected the driver of an arm on the graph of this machine, heard none within {PATIENCE_S:g} s; "
-            "'twin_node doctor' says who is there (another ROS_DOMAIN_ID?)"
+            "'twin_node doctor' says who is there (another ROS_DOMAIN_ID or --namespace?)"
         )
     before = heard[-1]
     if before.is_halted:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from twin_node.arm.ur import DriverMode, UrParameters
 from twin_node.nodes.arm import Driving, make_arm_node
@@ -64,7 +65,7 @@ def make_arm(setup: Setup) -> Node:
         _check_called(setup.where, driver.arm().joint_names, parameters.arm.arm().joint_names)
     workspace, arm = working_volume(source, parameters.synchronizer.width), parameters.arm
     if driver is None or driver.mode is not DriverMode.SERVO:
-        return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, lambda: _driving(setup.endpoints()))
+        return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, partial(_who_obeys, setup))
     arm = replace(arm, lookahead_s=max(driver.lookahead_s, arm.lookahead_s or 0.0))
     return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, lambda: Driving.SERVOED)
 
@@ -74,6 +75,11 @@ def _launched_driver(setup: Setup) -> UrParameters | None:
     is_named = bool(setup.sections.get(DRIVER))
     robot = values_of(UrParameters, DRIVER, setup.sections).get("robot", UrParameters.robot if is_named else "")
     return setup.parameters(UrParameters, DRIVER) if robot else None
+
+
+def _who_obeys(setup: Setup) -> Driving:
+    """Whom of the twin's own namespace the arm's node has to reckon with: that of another drives another arm."""
+    return _driving(end for end in setup.endpoints() if end.node.namespace == setup.namespace)
 
 
 def _driving(endpoints: Iterable[Endpoint]) -> Driving:

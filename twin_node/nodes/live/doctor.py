@@ -26,6 +26,7 @@ from twin_node.nodes.topics import (
 )
 from twin_node.runtime.clock import FollowedClock
 from twin_node.runtime.executor import Executor
+from twin_node.runtime.names import full_name, without
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind
 from twin_node.runtime.wire import Encoded, Wire
@@ -58,7 +59,7 @@ class _Ear:
 
     def __init__(self, wire: Wire, executor: Executor, published: Mapping[str, Endpoint]) -> None:
         self.newest: dict[str, convert.Diagnosis] = {}
-        """Diagnosis by its name."""
+        """Diagnosis by its name, with the namespace before it where there is one."""
         self._published = published
         self._clock = FollowedClock()
         self._has_clock = CLOCK in published
@@ -81,8 +82,9 @@ class _Ear:
                 self._delays[topic].append(now - taken)
             stamp = taken
         self._stamps[topic].append(stamp)
-        if topic == DIAGNOSTICS:
-            self.newest |= {found.name: found for found in convert.diagnostics_from_message(message.decode())}
+        if topic.endswith(DIAGNOSTICS):
+            found = convert.diagnostics_from_message(message.decode())
+            self.newest |= {_full(one.name, topic.removesuffix(DIAGNOSTICS)): one for one in found}
 
     def line(self, topic: str, width: int) -> str:
         """How often a topic was heard, how old its messages were, and what they are."""
@@ -100,7 +102,7 @@ class _Ear:
 
     def has_heard(self, node: str, topics: Sequence[str]) -> bool:
         """Whether anything came of what a node publishes; diagnoses are of many nodes, and begin with their names."""
-        others = any(self._stamps[topic] for topic in topics if topic != DIAGNOSTICS)
+        others = any(self._stamps[topic] for topic in topics if not topic.endswith(DIAGNOSTICS))
         return others or any(name.startswith(f"{node}:") for name in self.newest)
 
     def close(self) -> list[str]:
@@ -127,8 +129,8 @@ def examine(wire: Wire, seconds: float) -> Findings:
         lines.append(f"{ear.line(topic, width)} of {nodes[topic]}")
         faults += ear.faults(topic)
     faults += ear.close() + (_silent(ear, endpoints) if seconds >= SILENCE_S else [])
-    bad = [d for d in ear.newest.values() if d.level is not convert.Level.OK]
-    faults += [f"{d.name}: {d.level.name}: {d.message}" for d in bad]
+    bad = [(name, d) for name, d in ear.newest.items() if d.level is not convert.Level.OK]
+    faults += [f"{name}: {d.level.name}: {d.message}" for name, d in bad]
     return Findings(tuple(lines), tuple(faults))
 
 
@@ -156,8 +158,8 @@ def _silent(ear: _Ear, endpoints: Sequence[Endpoint]) -> list[str]:
     said: dict[str, list[str]] = defaultdict(list)
     for end in endpoints:
         if end.kind is EntityKind.PUBLISHER:
-            said[end.node.name].append(end.topic)
-    regular = {end.topic for end in endpoints if end.topic == DIAGNOSTICS or end.msgtype in REGULAR_TYPES}
+            said[_node(end)].append(end.topic)
+    regular = {end.topic for end in endpoints if end.topic.endswith(DIAGNOSTICS) or end.msgtype in REGULAR_TYPES}
     return [
         f"{node}: nothing comes of all that it publishes ({', '.join(sorted(topics))}); it hangs or waits, or its "
         "machine, or the link to it, has failed"
@@ -166,11 +168,20 @@ def _silent(ear: _Ear, endpoints: Sequence[Endpoint]) -> list[str]:
     ]
 
 
+def _node(end: Endpoint) -> str:
+    """A node's name as it is told: with its namespace where it is in one."""
+    return _full(end.node.name, end.node.namespace)
+
+
+def _full(name: str, namespace: str) -> str:
+    return full_name(name, namespace) if namespace.strip("/") else name
+
+
 def _type_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
     """What keeps the ends of a topic from hearing each other; None: nothing does."""
     if len({(end.msgtype, end.type_hash) for end in ends}) == 1:
         return None
-    names = "; ".join(sorted(f"{e.node.name}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
+    names = "; ".join(sorted(f"{_node(e)}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
     is_humble = any(e.type_hash == HUMBLE_HASH for e in ends)
     why = "ros_distro differs" if is_humble else "their types differ"
     advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
@@ -194,7 +205,7 @@ def _silence_fault(topic: str, ends: Sequence[Endpoint], endpoints: Sequence[End
 def _rivalry_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
     """Who publish a topic that only one may; None: one, or it may be several."""
     said_by = _publishers(ends)
-    if len(said_by) < 2 or not (topic in OF_ONE or ends[0].msgtype in IMAGE_TYPES):
+    if len(said_by) < 2 or not (topic.endswith(OF_ONE) or ends[0].msgtype in IMAGE_TYPES):
         return None
     return f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one"
 
@@ -202,7 +213,7 @@ def _rivalry_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
 def _publishers(ends: Sequence[Endpoint]) -> list[str]:
     """Names of the publishers among a topic's ends; two nodes of one name stand there twice."""
     by_node = {(e.node.session, e.node.number): e for e in ends if e.kind is EntityKind.PUBLISHER}
-    return sorted(end.node.name for end in by_node.values())
+    return sorted(map(_node, by_node.values()))
 
 
 def _is_needed(msgtype: str) -> bool:
@@ -219,21 +230,20 @@ def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> s
         if e.kind is EntityKind.PUBLISHER and e.msgtype == msgtype and e.topic not in listened
     ]
     near = difflib.get_close_matches(topic, spare, n=1, cutoff=0.0)
-    advice = f"launch with --remap {topic}:={near[0]}?" if near else f"start who publishes {msgtype}"
-    return (
-        f"{topic}: {' and '.join(sorted({e.node.name for e in waiting}))} waits for it, nobody publishes it; {advice}"
-    )
+    own = without(waiting[0].node.namespace, topic) or topic
+    advice = f"launch with --remap {own}:={near[0]}?" if near else f"start who publishes {msgtype}"
+    return f"{topic}: {' and '.join(sorted(set(map(_node, waiting))))} waits for it, nobody publishes it; {advice}"
 
 
 def _clock_faults(publisher: Endpoint, delays: Sequence[int], has_clock: bool) -> list[str]:
     """What speaks for another clock; `delays`: from the stamp to the arrival here, by the graph's time, ns."""
     if not delays or -CLOCK_TOLERANCE_NS < np.median(delays) < LATE_NS:
         return []
-    seconds, node = float(np.median(delays)) / 1e9, publisher.node.name
+    seconds, node = float(np.median(delays)) / 1e9, _node(publisher)
     lag = f"{publisher.topic}: stamped {-seconds:+.2f} s from its arrival"
     if has_clock:
         return [f"{lag} by {CLOCK}: {node} does not take its time from there; launch it with use_sim_time"]
-    if node in PLAYERS:
+    if publisher.node.name in PLAYERS:
         return [f"{lag}, when it was recorded; play the log with --clock, and launch with use_sim_time"]
     held_up = "look for what holds it up, or " if seconds > 0 else ""
     return [f"{lag}; {held_up}let chrony or PTP keep the machines' clocks together"]

@@ -50,7 +50,8 @@ class GraphCameras:
         return LiveCameras(topics, FrameAssembler(calibrated, self._width))
 
     def _published(self) -> Sequence[CameraTopics]:
-        types = {e.topic: e.msgtype for e in self._endpoints() if e.kind is EntityKind.PUBLISHER}
+        named = [(self._bus.named(e.topic), e.msgtype) for e in self._endpoints() if e.kind is EntityKind.PUBLISHER]
+        types = {topic: msgtype for topic, msgtype in named if topic is not None}
         try:
             return find_cameras(types, "the graph")
         except GraphError:  # nobody publishes images yet; somebody may later

@@ -146,7 +146,7 @@ class LiveRecorderNode(Node):
         self._added[topic] = kind.msgtype
         qos = replace(EVERY, latched=kind.qos.latched)
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
-        self._bus.subscribe_timed(topic, partial(self._write, self._bus.resolved(topic), qos.latched), self.clock)
+        self._bus.subscribe_timed(topic, partial(self._write, self._bus.renamed(topic), qos.latched), self.clock)
 
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
@@ -154,7 +154,7 @@ class LiveRecorderNode(Node):
             return
         asked = {self._bus.resolved(topic): topic for topic in self._topics}
         for endpoint in self._endpoints():
-            topic = endpoint.topic if self._is_all else asked.get(endpoint.topic)
+            topic = self._bus.named(endpoint.topic) if self._is_all else asked.get(endpoint.topic)
             if topic is None or endpoint.kind is not EntityKind.PUBLISHER:
                 continue
             recorded = self._added.get(topic)
@@ -172,7 +172,7 @@ class LiveRecorderNode(Node):
     def _tell_of_silence(self) -> None:
         published = {one.topic for one in self._endpoints() if one.kind is EntityKind.PUBLISHER}
         silent = [topic for topic in self._topics if self._bus.resolved(topic) not in published]
-        if silent or (self._is_all and not published):
+        if silent or (self._is_all and not any(map(self._bus.named, published))):
             self._say(f"nobody publishes {', '.join(silent) or 'anything'} yet; 'twin_node doctor' tells what there is")
 
     def _summary(self, writer: RecordingWriter) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
+from twin_node.runtime.names import ROOT
 from twin_node.runtime.parameter_values import USE_SIM_TIME, Parameter, ParameterType, parameters_of
 from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
@@ -47,6 +48,8 @@ class Setup:
     None: none does."""
     is_ending: Callable[[], bool] = lambda: False
     """Whether the node is to end as soon as what it does now is done."""
+    namespace: str = ROOT
+    """That of the node."""
     taken: dict[str, Any] = field(default_factory=dict)
     """What the node has read of its parameters, as dataclasses: its own section without a name, others by theirs."""
 

@@ -6,7 +6,7 @@ import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from twin_node.messages import convert
@@ -59,15 +59,20 @@ class _Led:
 
 
 @contextlib.contextmanager
-def open_wire(parameters: ZenohParameters | None = None, sole: str = "") -> Iterator[ZenohWire]:
+def open_wire(
+    parameters: ZenohParameters | None = None, sole: str = "", namespace: str | None = None
+) -> Iterator[ZenohWire]:
     """This process's end of the network, with a router where there is none yet.
 
-    `sole`: a node of this process of which a graph may have but one; launches and others hear of it.
+    `sole`: a node of this process of which a graph may have but one; launches and others hear of it. `namespace`: in
+    place of that of the parameters.
 
-    Raises `WireError` where neither one can be started nor one answers: whoever went on would be alone, and not know.
-    Raises `GraphError` where the sole node is alive already.
+    Raises `WireError` for what is no namespace, and where neither a router can be started nor one answers: whoever went
+    on would be alone, and not know. Raises `GraphError` where the sole node is alive already.
     """
     parameters = parameters or ZenohParameters()
+    if namespace is not None:
+        parameters = replace(parameters, namespace=namespace)
     router = open_router(parameters)
     if router is None:
         open_client(parameters).close()
@@ -87,8 +92,8 @@ def _claimed(parameters: ZenohParameters, node: str) -> NodeNames:
         return names
     names.close()
     raise GraphError(
-        f"node '{node}' is alive already in ROS domain {parameters.domain_id}; end that one, or set ROS_DOMAIN_ID to "
-        "another number for this one"
+        f"node '{node}' is alive already in ROS domain {parameters.domain_id}; end that one, or give this one "
+        "another --namespace, or another number as ROS_DOMAIN_ID"
     )
 
 
@@ -100,16 +105,17 @@ def run_single(
     zenoh: ZenohParameters | None = None,
     others: Sections | None = None,
     follows_clock: bool = False,
+    namespace: str | None = None,
 ) -> None:
     """Runs a node until it has finished, or until SIGINT or SIGTERM, through its whole lifecycle.
 
     `where`: what errors name; `others`: sections of other nodes that it looks at; `follows_clock`: its time is that of
-    `/clock` where there is one. Raises what the node raises.
+    `/clock` where there is one; `namespace`: its own, in place of that of `zenoh`. Raises what the node raises.
     """
     executor = Executor()
     for number in (signal.SIGINT, signal.SIGTERM):  # first: an interrupted set-up ends in order too
         signal.signal(number, lambda *_: executor.stop())
-    with open_wire(zenoh) as wire:
+    with open_wire(zenoh, namespace=namespace) as wire:
         bus = WireBus(wire, executor, kind, kind_of)
         clock: Clock = _GraphTime(wire, kind) if follows_clock else SystemClock()
         sections = {**(others or {}), kind: parameters}
