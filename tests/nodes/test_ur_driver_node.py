@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from twin_node.arm import LimiterParameters
+from twin_node.arm import LimiterParameters, extrapolate
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, UrParameters
+from twin_node.arm.ur.sample import UrSample
 from twin_node.bag import LogWriter, open_log
 from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
-from twin_node.messages import convert
+from twin_node.messages import convert, header_stamp
 from twin_node.messages.types import message_type
 from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, FOLLOW, JOINT_STATES, SEPARATION, TRAJECTORY
 from twin_node.nodes.ur_driver import UrDriverNode, driven_model
@@ -294,6 +295,31 @@ def test_diagnostics_go_on_when_the_computers_clock_is_put_back(monkeypatch: pyt
         passed_s[0] += 0.5
         node.tick()
     assert len(heard) == 3
+
+
+def test_an_arm_is_told_of_from_when_the_graphs_time_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before `/clock` comes, and in a simulator's first moments, stamps were negative, which ended the node."""
+    bus, heard, model = LocalBus(), [], ur_model("ur5e")
+    for topic in (JOINT_STATES, TRAJECTORY):
+        bus.subscribe(topic, heard.append)
+    monkeypatch.setattr(time, "monotonic_ns", lambda: 10**12)
+    node = UrDriverNode(bus, SteppedClock(0), UrParameters())
+    rest = np.zeros(6)
+    sample = UrSample(1.0, rest, rest, rest, rest, 7, 1, 2, 1.0, 1.0)
+    for since_ns in (20_000_000, 10_000_000):
+        report = DriverReport(
+            10**12 - since_ns,
+            DriverState.READY,
+            "clear",
+            sample=sample,
+            sample_stamp=10**12 - since_ns,
+            future=extrapolate(model, rest, rest, 10**12 - since_ns),
+        )
+        monkeypatch.setattr(node, "_driver", SimpleNamespace(latest=report))
+        node.tick()
+        assert len(heard) == (0 if since_ns == 20_000_000 else 2)
+        node.clock = SteppedClock(15_000_000)
+    assert [header_stamp(message) for message in heard] == [5_000_000, 5_000_000]
 
 
 def test_who_launched_the_driver_is_told_why_the_arm_stands_and_when_it_may_go(monkeypatch: pytest.MonkeyPatch) -> None:

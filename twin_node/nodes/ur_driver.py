@@ -160,13 +160,16 @@ class UrDriverNode(Node):
         return is_driven and (halt.is_safety or not self._parameters.resumes)
 
     def _publish_arm(self, report: DriverReport, offset: int) -> None:
-        """Joints and their future; `offset` (ns) leads from the driver's clock to the graph's."""
-        sample = report.sample
-        if sample is not None and report.sample_stamp > self._sampled:
+        """Joints and their future; `offset` (ns) leads from the driver's clock to the graph's.
+
+        What was before the graph's time began (that of `/clock`, which nobody has told yet) has no stamp there.
+        """
+        sample, begins = report.sample, -offset
+        if sample is not None and report.sample_stamp > self._sampled and report.sample_stamp >= begins:
             self._sampled = report.sample_stamp
             joints = JointSample(report.sample_stamp + offset, self._joint_names, sample.q, sample.qd)
             self.bus.publish(JOINT_STATES, convert.joint_sample_to_message(joints))
-        if report.future is not None:
+        if report.future is not None and report.stamp >= begins:
             future = replace(report.future, stamps=report.future.stamps + offset)
             self.bus.publish(TRAJECTORY, convert.joint_path_to_message(future))
 
