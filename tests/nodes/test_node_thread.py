@@ -127,6 +127,19 @@ def test_a_jump_in_time_makes_the_node_anew(bench: Bench) -> None:
     assert bench.life == ["configure", "activate", "deactivate", "cleanup"] * 2
 
 
+def test_of_many_jumps_in_time_at_once_one_is_enough_and_no_order_is_lost(bench: Bench) -> None:
+    """As of a short log that is played fast, again and again: each made a twin anew, for which it takes a second."""
+    bench.thread.configure()
+    bench.thread.activate()
+    for _ in range(20):
+        bench.thread.begin_anew()
+    bench.thread.start()
+    assert bench.heard.acquire(timeout=WAIT_S)
+    assert bench.heard.acquire(timeout=WAIT_S)
+    bench.thread.stop()
+    assert bench.life == ["configure", "activate", "deactivate", "cleanup"] * 2
+
+
 def test_a_node_that_was_made_anew_is_let_go(bench: Bench) -> None:
     """At once: a process of a launch looks for garbage rarely, and nodes and their buses hold each other."""
     gc.disable()

@@ -69,6 +69,8 @@ class NodeThread:
         self._say = say
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
+        self._jumps = self._executor.inbox(lambda _: self._remake(), 1)
+        """Of jumps in time that come while the node is busy, be it with the one before, the last is enough."""
         self._lines = self._executor.inbox(self._log, LINES_KEPT)
         self._bus: WireBus
         self._told: tuple[Traffic, ...] = ()
@@ -134,7 +136,7 @@ class NodeThread:
 
     def begin_anew(self) -> None:
         """Replaces the node by a fresh one, in its thread."""
-        self._orders.offer(self._remake)
+        self._jumps.offer(None)
 
     def stop(self, wait_s: float | None = None) -> bool:
         """Leads the node through deactivate and cleanup; gives back whether that is done, waits no longer than told."""
