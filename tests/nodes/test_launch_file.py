@@ -101,6 +101,7 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("\nplayer:", "\nsynchroniser:", "unknown node 'synchroniser'"),
         ("{nodes: [player]", "{nodes: [player", "cannot be read as YAML"),
         ("nodes: [player]", "nodes: player", "process 'play': nodes: expected a list, found 'player'"),
+        ("nodes: [recorder]", "nodes: 5", "process 'write': nodes: expected a list, found 5"),
         (
             "play: {nodes: [player], ends_launch: true, restart: false}",
             "play: [player]",

@@ -27,7 +27,7 @@ from twin_node.nodes.launch.kinds import (
     check_shared,
     is_foreign,
 )
-from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, read_flag, read_process
+from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, named_nodes, read_flag, read_process
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
@@ -211,7 +211,7 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
 
 def _check_takes_part(given: Sequence[str], entries: Mapping[str, Any], path: Path) -> None:
     """Raises `GraphError` for a parameter of a node that the file has in no process: it would change nothing."""
-    nodes = {node for entry in entries.values() for node in map(str, entry.get("nodes") or ())}
+    nodes = {node for name, entry in entries.items() for node in named_nodes(entry, f"{path}: process '{name}'")}
     for text in given:
         node = text.partition(".")[0]
         if node in KINDS and node not in {*CHAIN_SECTIONS, *nodes}:

@@ -54,10 +54,7 @@ def read_process(name: str, entry: Any, path: Path) -> ProcessPlan:
     for key in entry:
         if key not in known:
             raise GraphError(f"{where}: unknown key '{key}'; {nearest(str(key), known)}")
-    given = entry.get("nodes") or ()
-    if not isinstance(given, list | tuple):
-        raise GraphError(f"{where}: nodes: expected a list, found {given!r}; write [{given}]")
-    nodes = tuple(map(str, given))
+    nodes = named_nodes(entry, where)
     for node in nodes:
         check_kind(node, where)
     if not nodes:
@@ -73,6 +70,14 @@ def read_process(name: str, entry: Any, path: Path) -> ProcessPlan:
         has_spare=read_flag(entry, "spare", False, where),
         niceness=niceness,
     )
+
+
+def named_nodes(entry: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    """What a process's entry lists as its nodes. Raises `GraphError` for what is no list."""
+    given = entry.get("nodes") or ()
+    if not isinstance(given, list | tuple):
+        raise GraphError(f"{where}: nodes: expected a list, found {given!r}; write [{given}]")
+    return tuple(map(str, given))
 
 
 def read_flag(section: Mapping[str, Any], key: str, default: bool, where: str) -> bool:
