@@ -176,6 +176,14 @@ def test_a_joint_whose_speed_nobody_measures_does_not_hide_that_the_others_move(
     assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
 
 
+def test_joints_that_are_told_of_in_several_messages_are_one_arms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The controller of an arm whose base turned was told 0 at once, for its wrists stood."""
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    controller.say_joints(dict.fromkeys(JOINTS[:3], 1.0))
+    controller.say_joints(dict.fromkeys(JOINTS[3:], 0.0))
+    assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
+
+
 def test_a_belt_that_runs_beside_an_arm_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm that stood was set going by what its controller was told for it, which was taken to be at full speed."""
     controller = Controller(monkeypatch, joints_rad_s=0.0)

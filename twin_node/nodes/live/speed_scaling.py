@@ -96,7 +96,8 @@ class SpeedScalingNode(Node):
         self._kept = None if setup.kept is None else KeptShare(setup.kept / KEPT)
         self._share: float | None = None
         """None as long as nobody knows whether the arm moves."""
-        self._moves: bool | None = None
+        self._speeds: dict[str, float] = {}
+        """What was last told of each of the arm's joints, rad/s."""
         self._reason = "stopped: no forecast yet"
         self._since = 0.0
         self._ticked: float | None = None
@@ -144,11 +145,13 @@ class SpeedScalingNode(Node):
         self._limiter.decide(separation, now)
 
     def _on_joints(self, message: Message) -> None:
-        """Of the arm alone, as far as its speeds are told: a gripper on the same topic stands while the arm moves."""
-        told = zip(message.name, message.velocity, strict=False)
-        speeds = [abs(speed) for name, speed in told if name in self._joint_names and not math.isnan(speed)]
-        if self._share is None and speeds:
-            self._moves = max(speeds) > STANDS_RAD_S
+        """Of the arm alone, as far as its speeds are told: a gripper on the same topic stands while the arm moves.
+
+        Its joints may be told of in several messages.
+        """
+        if self._share is None:
+            told = zip(message.name, message.velocity, strict=False)
+            self._speeds |= {name: abs(v) for name, v in told if name in self._joint_names and not math.isnan(v)}
 
     def _tick(self) -> None:
         if self.state is not LifecycleState.ACTIVE or not self._has_begun():
@@ -161,11 +164,12 @@ class SpeedScalingNode(Node):
         """Whether it is known by now what share the arm has, which its speed rises or falls from."""
         if self._share is not None:
             return True
-        if self._moves is None and time.monotonic() - self._since < JOINTS_S:
+        if not self._speeds and time.monotonic() - self._since < JOINTS_S:
             return False
         kept = None if self._kept is None else self._kept.read()
-        self._share = (1.0 if kept is None else kept) if self._moves else 0.0
-        if not self._moves:
+        moves = max(self._speeds.values(), default=0.0) > STANDS_RAD_S
+        self._share = (1.0 if kept is None else kept) if moves else 0.0
+        if not moves:
             self._limiter.stand()
         return True
 
