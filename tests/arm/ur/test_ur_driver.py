@@ -91,6 +91,8 @@ def test_forecasts_of_old_evidence_are_no_forecasts() -> None:
 FAULTS = [
     ({"q": np.full(6, np.nan)}, "not finite"),
     ({"q": np.zeros(5)}, "5 joint angles"),
+    ({"target_q": np.full(6, 1e9)}, "beyond its range"),
+    ({"target_qd": np.full(6, -1e308)}, "beyond its rating"),
     ({"safety_mode": 3}, "PROTECTIVE_STOP"),
     ({"robot_mode": 3}, "POWER_OFF"),
     ({"robot_mode": 99}, "no such modes"),
@@ -111,7 +113,7 @@ def test_what_is_wrong_halts_at_once_and_stays_so_until_acknowledged(changes: di
     bench.run(400)
     with pytest.raises(ArmError, match="acknowledge: expected an arm that is well"):
         bench.acknowledge()
-    bench.link.tell(q=well.q, robot_mode=7, safety_mode=1)
+    bench.link.tell(q=well.q, target_q=well.target_q, target_qd=well.target_qd, robot_mode=7, safety_mode=1)
     bench.run(400)
     assert bench.report.state is DriverState.HALTED
     assert word in bench.report.reason

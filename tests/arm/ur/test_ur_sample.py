@@ -61,6 +61,8 @@ def test_another_number_of_joints_is_refused(field: str, count: int) -> None:
         ({"qd": np.array([0, 1.0, -9.0, 0, 0, 0])}, "elbow_joint: beyond its rating"),
         ({"q": np.array([0, 0, 0, 8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
         ({"q": np.array([0, 6.0, 0, -8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
+        ({"target_qd": np.array([0, 1.0, -9.0, 0, 0, 0])}, "elbow_joint: beyond its rating"),
+        ({"target_q": np.array([0, 6.0, 0, 8.0, 0, 0])}, "wrist_1_joint: beyond its range"),
     ],
 )
 def test_numbers_in_wrong_fields_are_refused(changes: dict[str, object], word: str) -> None:

@@ -165,12 +165,14 @@ def not_ready(sample: UrSample) -> str | None:
 def _impossible_motion(model: ArmModel, sample: UrSample, previous: UrSample | None) -> str | None:
     """Why no arm can be or move so, in words."""
     limit = _VELOCITY_MARGIN * model.max_velocity
-    if np.any(np.abs(sample.qd) > limit):
-        joint = int(np.argmax(np.abs(sample.qd) / limit))
-        return f"controller sent {sample.qd[joint]:.2f} rad/s for {model.joint_names[joint]}: beyond its rating"
-    if np.any((sample.q < model.lower - _LIMIT_RAD) | (sample.q > model.upper + _LIMIT_RAD)):
-        joint = int(np.argmax(np.maximum(model.lower - sample.q, sample.q - model.upper)))
-        return f"controller sent {sample.q[joint]:.2f} rad for {model.joint_names[joint]}: beyond its range"
+    for velocities in (sample.qd, sample.target_qd):
+        if np.any(np.abs(velocities) > limit):
+            joint = int(np.argmax(np.abs(velocities) / limit))
+            return f"controller sent {velocities[joint]:.3g} rad/s for {model.joint_names[joint]}: beyond its rating"
+    for angles in (sample.q, sample.target_q):
+        if np.any((angles < model.lower - _LIMIT_RAD) | (angles > model.upper + _LIMIT_RAD)):
+            joint = int(np.argmax(np.maximum(model.lower - angles, angles - model.upper)))
+            return f"controller sent {angles[joint]:.3g} rad for {model.joint_names[joint]}: beyond its range"
     if previous is not None:
         moved = np.abs(sample.q - previous.q)
         reach = limit * max(sample.clock_s - previous.clock_s, 0.0) + _JUMP_RAD
