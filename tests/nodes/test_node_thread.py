@@ -292,6 +292,25 @@ def test_a_process_tells_that_it_goes_on_unless_a_node_hangs(monkeypatch: pytest
     graph.close()
 
 
+def test_a_node_that_hangs_in_its_end_is_stuck_too(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one whose camera does not come back from reading: its process, which had failed, was never started again."""
+    goes_on, is_ending = threading.Event(), threading.Event()
+
+    def hang(_: Counter) -> None:
+        is_ending.set()
+        assert goes_on.wait(WAIT_S)
+
+    monkeypatch.setattr(Counter, "on_deactivate", hang)
+    monkeypatch.setattr(node_thread, "STUCK_S", 0.0)
+    bench.begin()
+    assert not bench.thread.stop(0.0)
+    assert is_ending.wait(WAIT_S)
+    assert bench.thread.is_stuck
+    goes_on.set()
+    assert bench.thread.stop(WAIT_S)
+    assert not bench.thread.is_stuck
+
+
 class Refusing(Node):
     """Cannot be configured."""
 

@@ -6,6 +6,7 @@ import contextlib
 import gc
 import itertools
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -79,6 +80,8 @@ class NodeThread:
         self._is_deaf = False
         """Whether the node was led to be inactive while the graph goes on: it hears nothing till it begins anew."""
         self._parameters: dict[str, Parameter] = {}
+        self._ends_since: float | None = None
+        """When the node's end began, s of the monotonic clock."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def make(self) -> None:
@@ -147,8 +150,12 @@ class NodeThread:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the node is not done with one thing for so long that it never will be; from any thread."""
-        return self._executor.busy_s > STUCK_S
+        """Whether the node is not done with one thing, be it its end, for so long that it never will be.
+
+        From any thread.
+        """
+        since = self._ends_since
+        return self._executor.busy_s > STUCK_S or (since is not None and time.monotonic() - since > STUCK_S)
 
     @property
     def _made(self) -> Node:
@@ -238,12 +245,19 @@ class NodeThread:
         self._executor.stop()
 
     def _run(self) -> None:
-        for do in (self._executor.spin, self._end_node):
+        for do in (self._executor.spin, self._end):
             try:
                 do()
             except BaseException as error:  # the process's main thread raises it, whatever it is
                 self.error = self.error or error  # the first: that its node cannot be ended either may come of it
         self._on_end()
+
+    def _end(self) -> None:
+        self._ends_since = time.monotonic()
+        try:
+            self._end_node()
+        finally:
+            self._ends_since = None
 
     def _diagnose(self) -> None:
         if self._is_deaf:
