@@ -241,6 +241,16 @@ def test_a_share_that_stays_is_told_again_for_a_controller_that_is_new(monkeypat
     assert controller.run(2.0, 1.0) == [1.0] * 4
 
 
+def test_a_stop_that_is_lost_is_told_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a link is full, messages are dropped: the controller went on for half a second by the last that came."""
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    controller.run(0.3, 0.0)
+    assert controller.told[-1] == 0.0
+    assert controller.run(0.1, 0.0) == [0.0] * 5
+    assert controller.run(1.0, 0.4)[-10:] == [0.4] * 10
+
+
 def test_the_arm_stands_when_the_node_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     controller = Controller(monkeypatch)
     controller.run(2.0, 1.0)

@@ -26,7 +26,8 @@ from twin_node.runtime.rmw_zenoh import EntityKind
 from twin_node.scene import NO_EVIDENCE
 
 REPEAT_S = 0.5
-"""How often the share is told though it stays: a controller may be a new one."""
+"""How often all of its speed is told though it stays, s: a controller may be a new one. Less is told again and again,
+for a message that is lost where a link is full would let the arm go on."""
 STANDS = 1e-6
 """A smaller share is none."""
 STANDS_RAD_S = 0.01
@@ -50,7 +51,7 @@ class SpeedScalingParameters:
     limiter: LimiterParameters = field(default_factory=_deadlines)
     """How the speed follows the decisions, and what it does without them."""
     rate_hz: float = 50.0
-    """How often the controller is told while its speed changes."""
+    """How often the controller is told while it has less than all of its speed."""
 
     def __post_init__(self) -> None:
         """Raises `TwinError` for a name that no controller has, and for a rate out of range."""
@@ -174,7 +175,7 @@ class SpeedScalingNode(Node):
         return True
 
     def _tell_towards(self, wanted: float) -> None:
-        """Tells the share wanted, or how far braking has come by now; one that stays is told now and then."""
+        """Tells the share wanted, or how far braking has come by now; all that stays all is told now and then."""
         if self._share is None:
             return
         now = time.monotonic()
@@ -185,7 +186,7 @@ class SpeedScalingNode(Node):
         self._share = 0.0 if self._share < STANDS else self._share
         if self._kept is not None:
             self._kept.write(self._share)
-        if self._told is not None and self._told[0] == self._share and now - self._told[1] < REPEAT_S:
+        if self._told is not None and self._told[0] == self._share == 1.0 and now - self._told[1] < REPEAT_S:
             return
         self._told = self._share, now
         self.bus.publish(self._topic, message_type("control_msgs/msg/SpeedScalingFactor")(factor=self._share))
