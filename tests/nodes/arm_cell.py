@@ -8,7 +8,7 @@ import numpy as np
 from twin_logs import START
 
 from twin_node.messages import convert
-from twin_node.nodes.arm import make_arm_node
+from twin_node.nodes.arm import Driving, make_arm_node
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.robot import forward_kinematics, ur_model
@@ -50,13 +50,15 @@ class Timers:
 class Cell:
     """An arm's node, its clock, and somebody 36 cm to the left of the tool: an arm that turns there slows."""
 
-    def __init__(self, timers: Timers | None = None, **given: object) -> None:
-        """`given`: parameters of the arm as they stand in a file."""
+    def __init__(
+        self, timers: Timers | None = None, driving: Callable[[], Driving] | None = None, **given: object
+    ) -> None:
+        """`driving()`: see `ArmNode`; `given`: parameters of the arm as they stand in a file."""
         self.bus, self.clock = LocalBus(), SteppedClock(START)
         self.told: list[Separation] = []
         self.bus.subscribe(SEPARATION, lambda message: self.told.append(convert.separation_from_message(message)))
         parameters = fill(ArmParameters, {"model": "ur5e", "max_obstacles": 8, **given}, "arm")
-        self.node = make_arm_node(self.bus, self.clock, WORKSPACE, parameters, timers)
+        self.node = make_arm_node(self.bus, self.clock, WORKSPACE, parameters, timers, driving)
         self.node.configure()
 
     def wait(self, milliseconds: int) -> None:

@@ -15,7 +15,7 @@ from twin_node.arm import ArmCollisionChecker, default_path
 from twin_node.errors import TwinError
 from twin_node.messages import convert
 from twin_node.nodes import arm as arm_node
-from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode
+from twin_node.nodes.arm import GAPS_KEPT, HEARD_NS, ArmNode, Driving
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION
 from twin_node.robot import forward_kinematics, ur_model
@@ -141,6 +141,18 @@ def test_an_arm_of_which_nothing_is_told_that_can_be_believed_stands_and_is_none
     assert (convert.Level.ERROR, reason) in [(d.level, d.message) for d in cell.node.diagnoses()]
     cell.joints()
     assert cell.somebody(at=np.full(3, 5.0)).reason == "clear; speeding up"
+
+
+def test_an_arm_whose_driver_a_graph_tells_of_a_moment_later_stands() -> None:
+    """With the first obstacles the graph was first asked who drives: it knew of nobody yet, and the arm was let go."""
+    asked: list[Driving] = []
+
+    def driving() -> Driving:
+        asked.append(Driving.BY_SLIDER if asked else Driving.NOBODY)
+        return asked[-1]
+
+    decision = Cell(driving=driving).somebody(at=np.full(3, 5.0))
+    assert decision.reason == "stopped: an arm is driven, and nobody publishes its /joint_states or /arm/trajectory"
 
 
 def test_an_arm_with_a_driver_of_ones_own_stands_until_somebody_tells_where_it_is() -> None:

@@ -113,6 +113,7 @@ class ArmNode(Node):
         self._commands = Commands(parameters.command_latency_ms * 1e-3)
 
     def on_configure(self) -> None:
+        self._driving()  # a graph tells of others from the first look on, and not with the first obstacles yet
         self.bus.subscribe(TRAJECTORY, self._on_trajectory)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
