@@ -46,6 +46,20 @@ def test_topics_of_a_driver_in_a_namespace_are_named_from_the_root() -> None:
         RigParameters("rig.yaml", depth="/d/image")
 
 
+@pytest.mark.parametrize("key", ["image", "depth"])
+@pytest.mark.parametrize("name", ["*", "a b", "image_raw ", "a//b", "image_raw/", "/{camera}/a?b", "x#y"])
+def test_what_is_no_name_of_a_topic_is_refused(key: str, name: str) -> None:
+    """Zenoh refused it node by node, and a launch tried again and again; or nobody was ever heard, and nobody told."""
+    with pytest.raises(GraphError, match=f"{key}: expected the name of a topic below /<camera>/ such as image_raw"):
+        RigParameters("rig.yaml", **{key: name})
+
+
+def test_only_depth_may_have_no_topic() -> None:
+    assert RigParameters("rig.yaml", depth="").depth == ""
+    with pytest.raises(GraphError, match=r"image: expected the name of a topic .* found ''"):
+        RigParameters("rig.yaml", image="")
+
+
 def test_a_log_that_is_played_under_other_names_is_looked_at_under_these(tmp_path: Path) -> None:
     """In lockstep it was; in a launch of processes its cameras were not found by the rig's names, or never heard."""
     log = str(tmp_path / "log.mcap")

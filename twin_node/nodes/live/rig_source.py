@@ -14,6 +14,7 @@ from twin_node.nodes.topics import (
     is_aligned_depth,
     is_compressed,
     is_rectified,
+    is_topic_name,
     parse_remaps,
 )
 from twin_node.scene import Float64, Rig
@@ -42,10 +43,15 @@ class RigParameters:
     """`FROM:=TO` pairs, by which the log's topics have other names on the graph: its player's, where none are given."""
 
     def __post_init__(self) -> None:
-        """Raises `GraphError` for a topic that would be the same of every camera."""
+        """Raises `GraphError` for a topic that would be the same of every camera, and for a name that is none."""
         for key, topic in (("image", self.image), ("depth", self.depth)):
             if topic.startswith("/") and CAMERA not in topic:
                 raise GraphError(f"{key}: expected {CAMERA} in a topic from the root, found {topic}; put it in")
+            if (topic or key == "image") and not is_topic_name(_topic("camera", topic)):
+                raise GraphError(
+                    f"{key}: expected the name of a topic below /<camera>/ such as image_raw, without blanks, empty "
+                    f"parts and any of *$?#%, found {topic!r}"
+                )
 
 
 @dataclass(frozen=True)
