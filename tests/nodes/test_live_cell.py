@@ -23,7 +23,7 @@ from twin_node.nodes.live.cameras import CamerasNode, make_cameras
 from twin_node.nodes.live.cell import CellNode, CellParameters
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, kind_of
+from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, GraphError, kind_of
 from twin_node.rig.cameras import CameraHealth, CameraImage
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
@@ -34,6 +34,12 @@ from twin_node.scene import JointSample
 
 RIG = RigParameters(scenario="demo", image="image_raw", depth="depth/image_rect")
 WAIT_S = 60.0
+
+
+def test_a_cell_cannot_run_for_less_than_no_time() -> None:
+    """A launch was over at once, as if all had been done."""
+    with pytest.raises(GraphError, match="duration: expected a number of 0 or more, found -5"):
+        CellParameters(rig=RIG, duration=-5.0)
 
 
 def test_a_cell_sends_what_a_rig_would() -> None:

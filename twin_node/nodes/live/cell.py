@@ -16,7 +16,8 @@ from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY, CameraTopics
+from twin_node.nodes.topics import COMPRESSED, JOINT_STATES, TRAJECTORY, CameraTopics, GraphError
+from twin_node.ranges import NOT_NEGATIVE, check_ranges
 from twin_node.runtime.node import Node
 
 SCENARIOS_OWN = "scenario"
@@ -35,6 +36,10 @@ class CellParameters:
     and the arm is drawn where its joints are heard to be."""
     model: str = ""
     """Of `twin_node.robot.UR_NAMES`, the arm that a driver moves; empty: as the scenario's."""
+
+    def __post_init__(self) -> None:
+        """Raises `GraphError` for a duration below 0, which would be over at once."""
+        check_ranges(self, GraphError, "", duration=NOT_NEGATIVE)
 
 
 def make_cell(setup: Setup) -> Node:
