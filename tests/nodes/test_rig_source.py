@@ -15,7 +15,7 @@ from twin_node.nodes.live.rig_source import RigParameters, read_rig, topics_of
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import GraphError
 from twin_node.rig import RigFile, save_rig
-from twin_node.runtime.parameters import EVERY_NODE
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError
 from twin_node.scene import Rig, RigCamera
 
 CAMERA = RigCamera("left", 64, 48, np.array([[50.0, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.eye(4))
@@ -44,6 +44,16 @@ def test_topics_of_a_driver_in_a_namespace_are_named_from_the_root() -> None:
     assert (found.image, found.depth) == ("/left/left/color/image_raw", "/left/depth/image_rect")
     with pytest.raises(GraphError, match=r"depth: expected \{camera\} in a topic from the root, found /d/image"):
         RigParameters("rig.yaml", depth="/d/image")
+
+
+@pytest.mark.parametrize(("given", "found"), [("my_rig.yaml", "'my_rig.yaml'"), (None, "nothing"), ([1], "a list")])
+def test_a_rig_that_is_named_without_its_key_is_refused(given: object, found: str) -> None:
+    """A launch began its processes again and again, of which each ended in a traceback."""
+    nothing, sections = SimpleNamespace(), {EVERY_NODE: {"rig": given}}
+    setup = Setup("twin", nothing, nothing, nothing, sections, "cell.yaml", lambda: None, lambda: ())
+    words = rf"cell.yaml: /\*\*: rig: expected keys and values such as {{file: my_rig.yaml}}, found {found}"
+    with pytest.raises(ParameterError, match=words):
+        setup.rig()
 
 
 @pytest.mark.parametrize("key", ["image", "depth"])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from twin_node.errors import told
 from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
 from twin_node.runtime.names import ROOT
 from twin_node.runtime.parameter_values import USE_SIM_TIME, Parameter, ParameterType, parameters_of
-from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 
@@ -74,13 +75,17 @@ class Setup:
     def rig(self) -> RigParameters:
         """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same.
 
-        The topics of a log that the graph's player plays have the names that it gives them.
+        The topics of a log that the graph's player plays have the names that it gives them. Raises `ParameterError` for
+        what is no `RigParameters`.
         """
-        told = dict(self.sections.get(EVERY_NODE, {}).get("rig", {}))
+        where, given = f"{self.where}: {EVERY_NODE}: rig", self.sections.get(EVERY_NODE, {}).get("rig", {})
+        if not isinstance(given, Mapping):
+            wanted = "keys and values such as {file: my_rig.yaml}"
+            raise ParameterError(f"{where}: expected {wanted}, found {told(given)}")
         played = self.sections.get("player", {})
-        if told.get("log") and told["log"] == played.get("log"):
-            told = {"remap": played.get("remap", ()), **told}
-        rig = fill(RigParameters, told, f"{self.where}: {EVERY_NODE}: rig")
+        if given.get("log") and given["log"] == played.get("log"):
+            given = {"remap": played.get("remap", ()), **given}
+        rig = fill(RigParameters, given, where)
         self.taken["rig"] = rig
         return rig
 
