@@ -184,6 +184,15 @@ def test_joints_that_are_told_of_in_several_messages_are_one_arms(monkeypatch: p
     assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
 
 
+def test_joints_that_stand_are_not_all_of_an_arm_until_the_others_are_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its wrists were told of first: 0 went out at once, before the base's message came."""
+    controller = Controller(monkeypatch, joints_rad_s=None)
+    controller.say_joints(dict.fromkeys(JOINTS[3:], 0.0))
+    assert controller.run(PERIOD_S) == []
+    controller.say_joints(dict.fromkeys(JOINTS[:3], 1.0))
+    assert controller.run(PERIOD_S)[0] == pytest.approx(1 - PERIOD_S / 0.2)
+
+
 def test_a_belt_that_runs_beside_an_arm_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm that stood was set going by what its controller was told for it, which was taken to be at full speed."""
     controller = Controller(monkeypatch, joints_rad_s=0.0)

@@ -165,10 +165,11 @@ class SpeedScalingNode(Node):
         """Whether it is known by now what share the arm has, which its speed rises or falls from."""
         if self._share is not None:
             return True
-        if not self._speeds and time.monotonic() - self._since < JOINTS_S:
+        moves = max(self._speeds.values(), default=0.0) > STANDS_RAD_S
+        is_known = moves or self._speeds.keys() >= self._joint_names  # one that moves tells enough
+        if not is_known and time.monotonic() - self._since < JOINTS_S:
             return False
         kept = None if self._kept is None else self._kept.read()
-        moves = max(self._speeds.values(), default=0.0) > STANDS_RAD_S
         self._share = (1.0 if kept is None else kept) if moves else 0.0
         if not moves:
             self._limiter.stand()
