@@ -22,9 +22,10 @@ class StreamStatistics:
 
     count: int
     rate_hz: float
-    """From the usual (median) period; NaN where there are too few messages, infinite where most have one stamp."""
+    """From the usual (median) period; infinite where most have one stamp, NaN where most run backwards, or with too few
+    messages."""
     jitter_ms: float
-    """Standard deviation of periods, those of gaps left out, ms."""
+    """Standard deviation of periods, gaps and steps back left out, ms; NaN with too few messages."""
     gaps: int
     longest_gap_ms: float
     """Longest period, ms; NaN where there are too few messages."""
@@ -40,9 +41,10 @@ def statistics_of(stamps: Sequence[int]) -> StreamStatistics:
         return StreamStatistics(len(stamps), float("nan"), float("nan"), 0, float("nan"), backwards)
     usual = float(np.median(periods))
     is_gap = periods > GAP_PERIODS * usual if usual > 0 else np.zeros(len(periods), bool)
-    regular = periods[~is_gap]
-    rate = 1e3 / usual if usual > 0 else float("inf")
-    return StreamStatistics(len(stamps), rate, float(regular.std()), int(is_gap.sum()), float(periods.max()), backwards)
+    regular = periods[~is_gap & (periods >= 0)]
+    jitter = float(regular.std()) if len(regular) else float("nan")
+    rate = 1e3 / usual if usual > 0 else float("inf") if usual == 0 else float("nan")
+    return StreamStatistics(len(stamps), rate, jitter, int(is_gap.sum()), float(periods.max()), backwards)
 
 
 def faults_of(statistics: StreamStatistics) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from twin_node.messages import builtin_types, convert, header_stamp
 from twin_node.nodes.latency import LONGEST_BRIDGED_NS
-from twin_node.nodes.stream_statistics import FEWEST, faults_of, statistics_of
+from twin_node.nodes.stream_statistics import faults_of, statistics_of
 from twin_node.nodes.topics import (
     CLOCK,
     CLOCK_FOLLOWER,
@@ -89,7 +90,7 @@ class _Ear:
     def line(self, topic: str, width: int) -> str:
         """How often a topic was heard, how old its messages were, and what they are."""
         statistics, delays = statistics_of(self._stamps[topic]), self._delays[topic]
-        rate = f"{statistics.rate_hz:8.2f} Hz" if statistics.count >= FEWEST else ""
+        rate = "" if math.isnan(statistics.rate_hz) else f"{statistics.rate_hz:8.2f} Hz"
         lag = f"  {np.median(delays) / 1e6:6.1f} ms old" if delays else ""
         return f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {self._published[topic].msgtype}"
 
