@@ -86,6 +86,21 @@ def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> N
     assert "camera 'right': images lie 12.0 ms from those of 'left'" in fault
 
 
+@pytest.mark.parametrize("slow", ["left", "right"])
+def test_a_camera_that_sends_more_slowly_is_not_said_to_be_apart(tmp_path: Path, slow: str) -> None:
+    """Every one of its images is taken with one of the other's: no trigger and no clock is to blame."""
+    write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
+    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "slow.mcap") as written:
+        for name, record in log.metadata.items():
+            written.add_metadata(name, record)
+        for message in log.messages():
+            if not message.topic.startswith(f"/{slow}/") or (message.stamp - START) // PERIOD % 2 == 0:
+                written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    (fault,) = checked(tmp_path / "slow.mcap").faults
+    fast = {"left": "right", "right": "left"}[slow]
+    assert fault.startswith(f"camera '{slow}': 15.2 images per second beside 30.3 of '{fast}': sets come ")
+
+
 def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
     """The twin would go on with the first pose, and the space that it sees would be elsewhere."""
     path = tmp_path / "log.mcap"

@@ -43,6 +43,8 @@ SAMPLES = 5
 """Images of a topic whose content is looked at, spread over the log."""
 SKEW_SHARE = 0.25
 """Cameras further apart than this share of a period, of which a half is the most, do not belong to one exposure."""
+SLOWER = 0.9
+"""A camera whose rate is below this share of the fastest one's sends more slowly."""
 
 
 @dataclass(frozen=True)
@@ -237,6 +239,7 @@ def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) ->
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
     faults = [
         *_image_faults(cameras, seen, known),
+        *_rate_faults(cameras, by_rig),
         *_skew_faults(cameras, by_rig),
         *_depth_skews(cameras, seen),
         *faults,
@@ -312,22 +315,40 @@ def _to_nearest(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray
     return gaps
 
 
+def _rate_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> Iterator[str]:
+    """Cameras that send more slowly than the fastest one; `stamps` by topic, ns."""
+    rates = {camera.name: statistics_of(stamps[camera.image]).rate_hz for camera in cameras}
+    fastest = max(rates, key=lambda name: rates[name] if np.isfinite(rates[name]) else 0.0)
+    for name, rate in rates.items():
+        if rate < SLOWER * rates[fastest]:
+            yield (
+                f"camera '{name}': {rate:.1f} images per second beside {rates[fastest]:.1f} of '{fastest}': sets come "
+                "as rarely, or without it; let all cameras send at one rate"
+            )
+
+
 def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> list[str]:
-    """Cameras whose images lie too far from those of the first one while both send; `stamps` by topic, ns."""
+    """Cameras whose images lie too far from those of the first one while both send; `stamps` by topic, ns.
+
+    Of two rates it counts how far the images of the slower camera lie from those of the other.
+    """
     first = np.array(stamps[cameras[0].image], dtype=np.int64)
     faults = []
     for camera in cameras[1:]:
         own = np.array(stamps[camera.image], dtype=np.int64)
         if len(first) < 2 or len(own) < 2:
             continue
-        period = float(np.median(np.diff(first)))
-        together = first[(first > own[0] - period) & (first < own[-1] + period)]
-        if not len(together):
-            continue
-        skew = _to_nearest(together, own)
-        if float(np.median(skew)) > SKEW_SHARE * period:
+        period = min(float(np.median(np.diff(first))), float(np.median(np.diff(own))))
+        skews = [skew for skew in (_skew(first, own, period), _skew(own, first, period)) if skew is not None]
+        if skews and min(skews) > SKEW_SHARE * period:
             faults.append(
-                f"camera '{camera.name}': images lie {np.median(skew) / 1e6:.1f} ms from those of "
+                f"camera '{camera.name}': images lie {min(skews) / 1e6:.1f} ms from those of "
                 f"'{cameras[0].name}'; trigger them together, or calibrate their clocks ('twin_node calibrate time')"
             )
     return faults
+
+
+def _skew(stamps: NDArray[np.int64], others: NDArray[np.int64], period: float) -> float | None:
+    """How far stamps [N] lie from the nearest of others [M], both ns, while these come; None: none do by then."""
+    together = stamps[(stamps > others[0] - period) & (stamps < others[-1] + period)]
+    return float(np.median(_to_nearest(together, others))) if len(together) else None
