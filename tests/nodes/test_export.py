@@ -203,9 +203,20 @@ def test_a_long_range_is_never_held_whole(form: str, tmp_path: Path) -> None:
 
 def test_a_range_that_goes_on_beyond_the_log_ends_with_it() -> None:
     assert ExportSpan(0.5, 9.0, 10).stamps(0, 800_000_000) == [500_000_000, 600_000_000, 700_000_000, 800_000_000]
-    for beyond in (ExportSpan(0.9, 9.0, 10), ExportSpan.one(0.9)):
-        with pytest.raises(ExportError, match="expected a span inside"):
-            beyond.stamps(0, 800_000_000)
+
+
+@pytest.mark.parametrize(
+    ("span", "told"),
+    [
+        (ExportSpan(0.9, 9.0, 10), "0.9 to 9 s"),
+        (ExportSpan(0.9), "from 0.9 s"),
+        (ExportSpan.one(0.9), "at 0.9 s"),
+        (ExportSpan(0.5, 0.2), "0.5 to 0.2 s"),
+    ],
+)
+def test_a_span_that_is_not_in_the_log_is_told_as_it_was_asked_for(span: ExportSpan, told: str) -> None:
+    with pytest.raises(ExportError, match=rf"^{told}: expected a span inside the log's 0 to 0\.800 s; correct "):
+        span.stamps(0, 800_000_000)
 
 
 def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path: Path) -> None:

@@ -39,6 +39,12 @@ class ExportSpan:
         """A single time."""
         return ExportSpan(at_s, at_s)
 
+    def __str__(self) -> str:
+        """The times, as they were asked for."""
+        if self.stop_s is None:
+            return f"from {self.start_s:g} s"
+        return f"at {self.start_s:g} s" if self.stop_s == self.start_s else f"{self.start_s:g} to {self.stop_s:g} s"
+
     def stamps(self, start_ns: int, end_ns: int) -> list[int]:
         """Log times, ns, of a log from `start_ns` to `end_ns`. Raises `ExportError` for times that it does not have."""
         length = (end_ns - start_ns) / 1e9
@@ -47,8 +53,7 @@ class ExportSpan:
             stop = min(stop, length)
         if not 0 <= self.start_s <= stop <= length + 1e-9:
             raise ExportError(
-                f"times {self.start_s:g} to {stop:g} s: expected a span inside the log's {within_s(length)}; correct "
-                "--at, or --start and --stop"
+                f"{self}: expected a span inside the log's {within_s(length)}; correct --at, or --start and --stop"
             )
         count = int(np.floor((stop - self.start_s) * self.rate_hz + 1e-9)) + 1
         return [start_ns + round((self.start_s + k / self.rate_hz) * 1e9) for k in range(count)]
