@@ -114,7 +114,7 @@ def test_an_orbit_looks_at_a_model_in_which_nothing_stands(tmp_path: Path) -> No
         (["-o", "a.avi"], "ends in .mp4, .png, .jpg"),
         (["-o", "a.png", "--view", "beside"], "expected images, found none"),
         (["-o", "a.png", "--view", "above"], "expected one of beside, cameras, forecast, orbit"),
-        (["-o", "a.png", "--camera", "left"], "--camera left: expected one of none"),
+        (["-o", "a.png", "--camera", "left"], "--camera left: expected images, found none in"),
         (["-o", "a.png", "--at", "7"], "expected a span inside the log's"),
         (["-o", "a.png", "--start", "0.5", "--rate", "10"], "--start, --rate: expected with a film"),
         (["-o", "a.mp4", "--at", "0.5"], "--at: expected with a picture"),

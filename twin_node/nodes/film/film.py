@@ -40,14 +40,15 @@ class Film:
         if view not in VIEWS:
             raise FilmError(f"--view {view}: expected one of {', '.join(VIEWS)}")
         names = [c.name for c in playback.cameras]
-        if view != "orbit" and not names:
+        if not names and (view != "orbit" or camera is not None):
+            asked = f"--view {view}" if camera is None else f"--camera {camera}"
             raise FilmError(
-                f"--view {view}: expected images, found none in {playback.name}; give the log that the twin's was made "
-                "from too, or --view orbit"
+                f"{asked}: expected images, found none in {playback.name}; give the log that the twin's was made "
+                f"from too, or --view orbit{'' if camera is None else ' and no camera'}"
             )
         playback.require(NEEDED[view], f"--view {view}")
         if camera is not None and camera not in names:
-            raise FilmError(f"--camera {camera}: expected one of {', '.join(names) or 'none'}")
+            raise FilmError(f"--camera {camera}: expected one of {', '.join(names)}")
         if camera is not None and view == "orbit":
             raise FilmError(f"--camera {camera}: expected with a view of the cameras; leave it out with --view orbit")
         self._cameras = [c for c in playback.cameras if camera in (None, c.name)]
