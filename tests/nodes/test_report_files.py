@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from twin_node.forecast import ForecastQuality
+from twin_node.forecast.comparison import Score
 from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
@@ -21,7 +23,7 @@ from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
 from twin_node.nodes.report.page import ReportError, _cards, _curves, _lead, _write
-from twin_node.nodes.report.quality import Quality
+from twin_node.nodes.report.quality import LeftOut, Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY
@@ -82,15 +84,27 @@ def test_a_run_whose_sets_end_before_its_log_says_so(damage: str | None) -> None
     assert all(line.startswith("no set of images in the last 3.0 s of the log, after 1: ") for line in told)
 
 
-def test_what_could_not_be_measured_is_null_and_has_a_reason() -> None:
-    figures = figures_of(short_run(), Quality(), {}, Foresight())
-    unknown = {
-        f"{section}.{name}"
-        for section in ("forecast", "arm", "quality")
-        for name, value in figures[section].items()
-        if value is None
-    }
-    assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown <= set(figures["reasons"])
+def unknown_in(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Names of figures that are null, however deep."""
+    for name, value in figures.items():
+        if isinstance(value, Mapping):
+            yield from (f"{name}.{inner}" for inner in unknown_in(value))
+        elif value is None:
+            yield name
+
+
+@pytest.mark.parametrize("rate", [None, 1.0])
+def test_what_could_not_be_measured_is_null_and_has_a_reason(rate: float | None) -> None:
+    with Spool(0, 10**9, 30.0) as spool:
+        run = replace(short_run(), rate=rate, bytes_per_frame=float("nan"), spool=spool)
+        score = Score(0.9, 0.9, 0.9, 0.9, 10.0, 5.0, 1.0, None, 20.0)
+        foresight = Foresight({"ours": score, "persistence": score}, "/truth/occupancy", recalls=((0, 0.9),))
+        figures = figures_of(run, Quality(), {"left": LeftOut(None, 20.0)}, foresight)
+    unknown = set(unknown_in(figures))
+    assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown
+    assert {"forecast.iou", "forecast.baselines.persistence.iou"} <= unknown
+    assert {"latency_ms.p50", "work_ms.p99", "bytes_per_frame", "quality.left_out.left.psnr_moving_db"} <= unknown
+    assert unknown == set(figures["reasons"])
     assert figures["forecast"]["coverage_target"] == 0.99
     assert "near" in figures["reasons"]["arm.min_distance_m"]
 

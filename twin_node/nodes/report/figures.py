@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +13,7 @@ from twin_node.json_text import known
 from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.foresight import Foresight
-from twin_node.nodes.report.quality import LeftOut, Quality
+from twin_node.nodes.report.quality import FEWEST_PIXELS, LeftOut, Quality
 from twin_node.scene import Separation, Tier
 
 
@@ -87,27 +87,38 @@ def percentiles(milliseconds: Sequence[float]) -> dict[str, float | None]:
 
 def _reasons(figures: Mapping[str, Any], foresight: Foresight, collector: CollectorNode) -> dict[str, str]:
     """Why a figure is None."""
+    none_came = "no set came after the first, which builds the model"
+    reasons = dict.fromkeys(_unknown(figures, "latency_ms", "work_ms"), none_came)
+    too_short = "it is measured once a second, which the run did not last"
+    reasons |= dict.fromkeys(_unknown(figures, "bytes_per_frame"), too_short)
     unscored = (
         f"the truth ({foresight.truth}) cannot tell"
         if foresight.recalls
         else "nothing moved at a time that had been foreseen"
     )
+    reasons |= dict.fromkeys(_unknown(figures, "forecast"), unscored)
     unjudged = "no forecast was made" if collector.quality is None else "no forecast was judged by what moved later"
-    reasons = {
-        f"forecast.{name}": unjudged if name in ("coverage", "coverage_target") else unscored
-        for name, value in figures["forecast"].items()
-        if value is None
-    }
+    of_bound = _unknown(figures["forecast"], "coverage", "coverage_target")
+    reasons |= {f"forecast.{name}": unjudged for name in of_bound}
     undecided = "no obstacle was near the arm" if collector.separations else "no speed was decided"
-    reasons |= {f"arm.{name}": undecided for name, value in figures["arm"].items() if value is None}
-    for name, value in figures["quality"].items():
-        if value is None:
-            reason = "no image had 50 or more pixels of that kind"
-            if figures["mode"] == "lockstep" and name.startswith(("published", "moved_on")):
-                reason = "in lockstep no cloud is out at a time of its own"
-            elif "arm" in name and not collector.is_arm_told:
-                reason = "nothing is told of an arm"
-            reasons[f"quality.{name}"] = reason
+    reasons |= dict.fromkeys(_unknown(figures, "arm"), undecided)
+    for name in _unknown(figures, "quality"):
+        reason = f"no image had {FEWEST_PIXELS} or more pixels of that kind"
+        if figures["mode"] == "lockstep" and name.startswith(("quality.published", "quality.moved_on")):
+            reason = "in lockstep no cloud is out at a time of its own"
+        elif name.endswith("psnr_arm_db") and not collector.is_arm_told:
+            reason = "nothing is told of an arm"
+        reasons[name] = reason
     if not figures["quality"]["left_out"]:
         reasons["quality.left_out"] = "one camera cannot be left out of one"
     return reasons
+
+
+def _unknown(figures: Mapping[str, Any], *names: str) -> Iterator[str]:
+    """Names of those that are None, of some figures and all that is in them, with the sections that they are in."""
+    for name in names:
+        value = figures[name]
+        if isinstance(value, Mapping):
+            yield from (f"{name}.{inner}" for inner in _unknown(value, *value))
+        elif value is None:
+            yield name
