@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from twin_logs import START, cloud_at, obstacles_at
 
-from twin_node.bag import LogWriter
+from twin_node.bag import LogWriter, open_log
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
 from twin_node.geometry import project
@@ -55,9 +55,8 @@ def test_a_picture_shows_images_beside_the_twin(twin_log: Path, cell_log: Callab
     assert render(twin_log, seen, "--width", 80, "--at", 0.3, "-o", out) == 0
     picture = cv2.cvtColor(cv2.imread(str(out)), cv2.COLOR_BGR2RGB)
     with Playback([twin_log, seen], 80) as playback:
-        frames = playback.at(START + 300_000_000).frames
-    assert frames is not None
-    view = frames.views[1]
+        view = playback.at(START + 300_000_000).view(playback.cameras[1].name)
+    assert view is not None
     height = view.camera.height
     row = picture[22 + 2 * 16 + height : 22 + 2 * (16 + height)]
     assert row.shape[1] == 4 * 80 and picture.shape[0] == 22 + 3 * (16 + height)
@@ -254,6 +253,27 @@ def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_pa
     assert late[0, :20, 0].max() > 200, "words"
     assert late[0, :, 2].max() == 0
     assert np.array_equal(late[1], at_once[1])
+
+
+def with_damaged_image(log: Path, out: Path, camera: str) -> Path:
+    """A log whose camera of this name goes on with an image of which half is missing."""
+    with open_log(log) as read, LogWriter(out) as written:
+        for name, record in read.metadata.items():
+            written.add_metadata(name, record)
+        for message in read.messages():
+            written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+            if message.topic == f"/{camera}/image_raw":
+                half = bytes(message.data)[: len(message.data) // 2]
+                written.write_raw(message.topic, message.msgtype, half, message.stamp)
+    return out
+
+
+def test_a_camera_alone_is_drawn_whatever_the_others_have_sent(tmp_path: Path, refused: Callable[..., str]) -> None:
+    log = write_images(tmp_path / "a.mcap", {"bad": (160, 120), "good": (160, 120)})
+    log = with_damaged_image(log, tmp_path / "damaged.mcap", "bad")
+    assert render(log, "--camera", "good", "-o", tmp_path / "a.png") == 0
+    told = refused("render", log, "-o", "b.png")
+    assert f"error: /bad/image_raw at {START / 1e9:.3f} s: " in told and "damaged" in told
 
 
 def test_an_image_older_than_the_twin_can_go_back_is_compared_with_nothing(tmp_path: Path) -> None:

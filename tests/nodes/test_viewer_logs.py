@@ -16,7 +16,7 @@ from twin_logs import PERIOD, START, cloud_at
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.bench.visitors import free_port
 from twin_node.cli import main
-from twin_node.messages import convert
+from twin_node.messages import MessageError, convert
 from twin_node.nodes.cloud_updates import CloudUpdates
 from twin_node.nodes.overlays import moving_mask
 from twin_node.nodes.playback import Playback
@@ -326,6 +326,22 @@ def test_a_message_that_cannot_be_shown_is_told_and_others_are_shown(
         viewer.run(is_over)
         assert told[0] is None and told[2] is None
         assert told[1] is not None and "is not finite" in told[1]
+
+
+def test_an_image_that_cannot_be_shown_takes_no_other_camera_s_away(
+    page: CellPage, twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    bad = "/cam_back/image_raw/compressed"
+    with open_log(cell_log(0.5)) as log, RecordingWriter(tmp_path / "damaged.mcap") as damaged:
+        for message in log.messages():
+            length = len(message.data) // 2 if message.topic == bad else len(message.data)
+            data = bytes(message.data)[:length]
+            damaged.write(message.topic, message.msgtype, data, message.stamp, message.types)
+    with pytest.raises(MessageError, match=f"^{bad} at "):
+        shown(page, twin_log, tmp_path / "damaged.mcap", seconds=0.4)
+    find = page.server.scene.get_handle_by_name
+    assert find("/cameras/cam_back").image is None
+    assert all(find(f"/cameras/{name}").image is not None for name in ("cam_front", "cam_left"))
 
 
 def test_time_before_the_first_word_is_an_empty_page(

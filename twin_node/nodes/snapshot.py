@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeVar
 
-from twin_node.messages import Message, convert, header_stamp
+from twin_node.messages import Message, MessageError, convert, header_stamp
 from twin_node.nodes.cloud_updates import updated
 from twin_node.nodes.topics import (
     GAUSSIANS,
@@ -22,7 +22,7 @@ from twin_node.nodes.topics import (
     CameraTopics,
 )
 from twin_node.rig import DecodedImage, FrameAssembler
-from twin_node.scene import FrameSet, GaussianCloud, JointPath, JointSample, Obstacles, Occupancy, Separation
+from twin_node.scene import GaussianCloud, JointPath, JointSample, Obstacles, Occupancy, Separation, View
 
 SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
@@ -67,7 +67,11 @@ LONGEST_MOVE_S = 0.2
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said."""
+    """What had been said by `stamp`; every part is decoded when it is first asked for, None where it was never said.
+
+    Whatever is asked for raises `MessageError`, which names topic and time, where a message is damaged or says what
+    cannot be.
+    """
 
     stamp: int
     """Log time, ns."""
@@ -81,23 +85,20 @@ class Snapshot:
     def _newest(self, topic: str, read: Callable[[Message], Read]) -> Read | None:
         """What a topic's newest message says."""
         said = self.said.get(topic)
-        return None if said is None else read(said.message)
+        return None if said is None else _read(topic, said, read)
 
     @cached_property
     def cloud(self) -> GaussianCloud | None:
         """All Gaussians as they were published: the last whole cloud, what has changed since, and what moves."""
-        whole, moving = self.said.get(GAUSSIANS), self.said.get(GAUSSIANS_MOVING)
-        if whole is None:
-            return None if moving is None else convert.gaussians_from_pointcloud2(moving.message)
-        since = header_stamp(whole.message)
+        whole, since = self._newest(GAUSSIANS, convert.gaussians_from_pointcloud2), self.whole_stamp
+        if whole is None or since is None:
+            return self._newest(GAUSSIANS_MOVING, convert.gaussians_from_pointcloud2)
 
-        def later(said: Said | None) -> GaussianCloud | None:
-            if said is None or header_stamp(said.message) <= since:
-                return None
-            return convert.gaussians_from_pointcloud2(said.message)
+        def later(topic: str) -> GaussianCloud | None:
+            stamp = self._newest(topic, header_stamp)
+            return None if stamp is None or stamp <= since else self._newest(topic, convert.gaussians_from_pointcloud2)
 
-        of_all = convert.gaussians_from_pointcloud2(whole.message)
-        return updated(of_all, later(self.said.get(GAUSSIANS_CHANGED)), later(moving))
+        return updated(whole, later(GAUSSIANS_CHANGED), later(GAUSSIANS_MOVING))
 
     def cloud_at(self, stamp: int) -> GaussianCloud | None:
         """All Gaussians, moved on at their velocities from the set that they follow to a time near it, ns.
@@ -113,8 +114,8 @@ class Snapshot:
     @property
     def followed_stamp(self) -> int | None:
         """Stamp of the set that all Gaussians follow, ns."""
-        said = (self.said[topic].message for topic in (GAUSSIANS, GAUSSIANS_MOVING) if topic in self.said)
-        return max(map(header_stamp, said), default=None)
+        stamps = (self._newest(topic, header_stamp) for topic in (GAUSSIANS, GAUSSIANS_MOVING))
+        return max((stamp for stamp in stamps if stamp is not None), default=None)
 
     @property
     def cloud_now(self) -> GaussianCloud | None:
@@ -124,8 +125,7 @@ class Snapshot:
     @cached_property
     def whole_stamp(self) -> int | None:
         """Evidence stamp of the last whole cloud, ns."""
-        said = self.said.get(GAUSSIANS)
-        return None if said is None else header_stamp(said.message)
+        return self._newest(GAUSSIANS, header_stamp)
 
     @cached_property
     def occupancy(self) -> Occupancy | None:
@@ -174,7 +174,7 @@ class Snapshot:
             return None
         for reach in JOINTS_REACHES_NS if begin is None else (*JOINTS_REACHES_NS, self.stamp - begin):
             for said in reversed(self.earlier(JOINT_STATES, reach)):
-                sample = convert.joint_sample_from_message(said.message)
+                sample = _read(JOINT_STATES, said, convert.joint_sample_from_message)
                 if wanted.issubset(sample.names):
                     return sample
         return newest
@@ -186,9 +186,9 @@ class Snapshot:
         Nor does one without points, by which ROS's trajectory controllers are told to stay where they are.
         """
         said = self.said.get(TRAJECTORY)
-        if said is None or not len(said.message.points):
+        if said is None or not _read(TRAJECTORY, said, lambda message: len(message.points)):
             return None
-        path = convert.joint_path_from_message(said.message, said.stamp)
+        path = _read(TRAJECTORY, said, lambda message: convert.joint_path_from_message(message, said.stamp))
         return path if path.stamps[0] <= self.stamp <= path.stamps[-1] else None
 
     def silent_s(self, topics: Sequence[str]) -> float:
@@ -200,18 +200,25 @@ class Snapshot:
         """For how long the camera has sent no image, s; 0 where it never sent one."""
         return self.silent_s((self.cameras[camera].image,))
 
-    @cached_property
-    def frames(self) -> FrameSet | None:
-        """The newest image of every camera, undistorted."""
-        if self.assembler is None:
-            return None
-        images = {}
-        for name, topics in self.cameras.items():
-            said = self.said.get(topics.image)
-            if said is not None:
-                stamp = header_stamp(said.message)
-                images[name] = DecodedImage(stamp, convert.rgb_from_message(said.message), None)
-        return self.assembler.assemble(images) if images else None
+    def view(self, camera: str) -> View | None:
+        """A camera's newest image, undistorted; it is decoded anew whenever it is asked for.
+
+        Raises `RigError` for an image that is not of the calibrated size.
+        """
+        image = self._newest(self.cameras[camera].image, _decoded)
+        return None if image is None or self.assembler is None else self.assembler.view(camera, image)
+
+
+def _read(topic: str, said: Said, read: Callable[[Message], Read]) -> Read:
+    """What a message says. Raises `MessageError` that names topic and time of one that says what cannot be."""
+    try:
+        return read(said.message)
+    except MessageError as error:
+        raise MessageError(f"{topic} at {said.stamp / 1e9:.3f} s: {error}") from None
+
+
+def _decoded(message: Message) -> DecodedImage:
+    return DecodedImage(header_stamp(message), convert.rgb_from_message(message), None)
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:

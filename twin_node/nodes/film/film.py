@@ -64,8 +64,7 @@ class Film:
 
     def beside(self, snapshot: Snapshot) -> UInt8:
         """Per camera a row: the image, the twin's rendering, where they differ, and what was foreseen for 200 ms."""
-        views = _views(snapshot)
-        return np.vstack([self._row(camera, views.get(camera.name), snapshot) for camera in self._cameras])
+        return np.vstack([self._row(camera, snapshot.view(camera.name), snapshot) for camera in self._cameras])
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
@@ -73,8 +72,7 @@ class Film:
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
-        views = _views(snapshot)
-        foreseen = ((c.name, self._foreseen(c, views.get(c.name), snapshot)) for c in self._cameras)
+        foreseen = ((c.name, self._foreseen(c, snapshot.view(c.name), snapshot)) for c in self._cameras)
         return _side_by_side([_titled(name, picture) for name, picture in foreseen])
 
     def orbit(self, snapshot: Snapshot) -> UInt8:
@@ -142,10 +140,6 @@ VIEWS: Mapping[str, Callable[[Film, Snapshot], UInt8]] = {
 
 NEEDED: Mapping[str, str] = {"beside": GAUSSIANS, "cameras": GAUSSIANS, "forecast": OCCUPANCY, "orbit": GAUSSIANS}
 """View -> the topic that it shows nothing of the twin without."""
-
-
-def _views(snapshot: Snapshot) -> dict[str, View]:
-    return {view.camera.name: view for view in snapshot.frames.views} if snapshot.frames else {}
 
 
 def _rendering(camera: Camera, cloud: GaussianCloud | None) -> Float32:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from twin_node.errors import TwinError
 from twin_node.geometry import quat_from_rotation
 from twin_node.nodes.overlays import ARM_COLOUR, MOVING_COLOUR, arm_mask, moving_mask, tinted
 from twin_node.nodes.snapshot import Snapshot
@@ -36,20 +37,30 @@ class Frusta:
         self._shown.clear()
 
     def show(self, snapshot: Snapshot) -> None:
-        """Puts the newest images into the frusta; an image that is there already is not sent again."""
-        for handle in self._handles.values():
+        """Puts the newest images into the frusta; an image that is there already is not sent again.
+
+        Raises what is wrong with an image once those of all other cameras are there; with several, of the first.
+        """
+        problems: list[TwinError] = []
+        for name, handle in self._handles.items():
             handle.visible = self.is_shown
-        frames = snapshot.frames if self.is_shown else None
-        views = () if frames is None else frames.views
-        for name in self._shown.keys() - {view.camera.name for view in views} if self.is_shown else ():
-            del self._shown[name]  # it had no image yet: the one that is there is of later
-            self._handles[name].image = None
-        for view in views:
-            name = view.camera.name
-            look = (view.stamp, self._masks_stamp(snapshot))
-            if self._shown.get(name) != look:
-                self._shown[name] = look
-                self._handles[name].image = self._masked(view, snapshot) if self.is_masked else view.rgb
+            try:
+                view = snapshot.view(name) if self.is_shown else None
+                if view is not None:
+                    self._put(view, snapshot)
+            except TwinError as error:
+                problems.append(error)
+                view = None
+            if view is None and self.is_shown and self._shown.pop(name, None) is not None:
+                handle.image = None  # it had no image yet: the one that is there is of later
+        if problems:
+            raise problems[0]
+
+    def _put(self, view: View, snapshot: Snapshot) -> None:
+        name, look = view.camera.name, (view.stamp, self._masks_stamp(snapshot))
+        if self._shown.get(name) != look:
+            self._handles[name].image = self._masked(view, snapshot) if self.is_masked else view.rgb
+            self._shown[name] = look
 
     def _add(self, camera: Camera) -> Any:
         return self._server.scene.add_camera_frustum(
