@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from twin_logs import MOMENTS, PERIOD, START, cloud_at
 
-from twin_node.bag import LogWriter, open_log
+from twin_node.bag import LogMessage, LogWriter, open_log
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.export import LogSource
@@ -113,6 +113,30 @@ def test_joints_are_unknown_until_the_arm_first_tells_and_known_however_long_ago
     with Playback([path]) as playback:
         moments = LogSource(playback).moments(times, arm, with_clouds=False)
         assert [None if m.q is None else m.q[0] for m in moments] == [None, 0.3, 0.3, 0.3]
+
+
+def test_joints_told_long_ago_are_looked_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour of a gripper's joints, after the arm's were told last, was read anew for every picture."""
+    arm, path, count = ur_model("ur10e"), tmp_path / "long.mcap", 2000
+    with LogWriter(path) as log:
+        for k in range(count):
+            names = ("finger_joint",) if k else arm.joint_names
+            sample = JointSample(START + k * PERIOD, names, np.full(len(names), 0.3), np.zeros(len(names)))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(sample), sample.stamp)
+    read: list[int] = []
+    with Playback([path]) as playback:
+        messages = playback._messages
+
+        def counted(topic: str, start: int | None = None, stop: int | None = None) -> Iterator[LogMessage]:
+            for message in messages(topic, start, stop):
+                read.append(message.stamp)
+                yield message
+
+        monkeypatch.setattr(playback, "_messages", counted)
+        for k in (count // 2, count // 2 + 1, 3, count - 2, count - 1, count - 1):
+            joints = playback.at(START + k * PERIOD).joints_of(arm.joint_names)
+            assert joints is not None and joints.names == arm.joint_names
+    assert len(read) < 3 * count
 
 
 def test_topics_are_known_by_the_names_that_they_are_given(

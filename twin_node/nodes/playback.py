@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from twin_node.nodes.calibration import damage_first, rig_for
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_clocks import OTHER_CLOCK_NS
 from twin_node.nodes.renaming import Renamed, check_types, of_log, renamed
-from twin_node.nodes.snapshot import Snapshot
+from twin_node.nodes.snapshot import Snapshot, newest_joints
 from twin_node.nodes.topics import (
     DEPTH_BY_NAME,
     JOINT_STATES,
@@ -32,8 +33,19 @@ from twin_node.scene import Camera
 
 LONGEST_STEP_NS = 2_000_000_000
 """A step forward in time that is no longer is read through; after a longer one each topic's newest is looked for."""
+JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
+"""How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
 CLOCK_TOLD_BY = 5
 """Messages that tell whether a log was recorded by the clock of their stamps: the first may be late."""
+
+
+@dataclass(frozen=True)
+class _LastJoints:
+    """The newest joints of some names up to a time."""
+
+    said: LogMessage
+    until: int
+    """ns."""
 
 
 class Playback:
@@ -68,6 +80,7 @@ class Playback:
         self._last_stamp: int | None = None
         self._said: dict[str, LogMessage] = {}
         self._begun: dict[frozenset[str], int | None] = {}
+        self._joints: dict[frozenset[str], _LastJoints] = {}
 
     @property
     def name(self) -> str:
@@ -136,7 +149,7 @@ class Playback:
             self._said = self._look_back(stamp)
         self._last_stamp = stamp
         earlier = partial(self._before, stamp)
-        return Snapshot(stamp, self._said, self._cameras, self._assembler, earlier, self._joints_begin)
+        return Snapshot(stamp, self._said, self._cameras, self._assembler, earlier, partial(self._joints_with, stamp))
 
     def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
         """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""
@@ -163,6 +176,32 @@ class Playback:
 
     def _before(self, stamp: int, topic: str, ns: int) -> Sequence[LogMessage]:
         return tuple(self._messages(topic, stamp - ns, stamp + 1))
+
+    def _joints_with(self, stamp: int, names: frozenset[str]) -> LogMessage | None:
+        """The newest joints up to `stamp` with all of some names; what was once looked through for them is not again.
+
+        None before the first. Raises `LookupError` where none ever come.
+        """
+        first, last = self._joints_begin(names), self._joints.get(names)
+        if first is None:
+            raise LookupError
+        if first > stamp:
+            return None
+        said = last.said if last is not None and last.said.stamp <= stamp else None
+        if last is not None and said is not None:
+            if stamp <= last.until:
+                return said
+            first = last.until + 1
+        for reach in (*JOINTS_REACHES_NS, stamp - first):
+            begin = max(stamp - reach, first)
+            found = newest_joints(tuple(self._messages(JOINT_STATES, begin, stamp + 1)), names)
+            if found is not None or begin == first:
+                said = found or said
+                break
+        if said is None:
+            raise LookupError
+        self._joints[names] = _LastJoints(said, stamp)
+        return said
 
     def _joints_begin(self, names: frozenset[str]) -> int | None:
         if names not in self._begun:

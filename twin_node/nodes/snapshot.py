@@ -26,10 +26,6 @@ from twin_node.scene import GaussianCloud, JointPath, JointSample, Obstacles, Oc
 
 SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
-JOINTS_REACHES_NS = (100_000_000, 2_000_000_000, 60_000_000_000)
-"""How far back an arm's joints are looked for where others have come since: one that works tells at 10 Hz or more."""
-
-
 Read = TypeVar("Read")
 
 
@@ -45,20 +41,25 @@ class Said(Protocol):
         """As it was published."""
 
 
+AnySaid = TypeVar("AnySaid", bound=Said)
+
 Earlier = Callable[[str, int], Sequence[Said]]
 """What was said on a topic in so many ns before a time, and at it, oldest first."""
 
 
-JointsBegin = Callable[[frozenset[str]], int | None]
-"""When a sample with all of some joints first comes, ns; None: never, or nobody can tell yet."""
+JointsWith = Callable[[frozenset[str]], Said | None]
+"""The newest joints among which are all of some names; None before the first.
+
+Raises `LookupError` where they never come, or none have come for as long as anybody remembers.
+"""
 
 
 def _nothing(_topic: str, _ns: int) -> Sequence[Said]:
     return ()
 
 
-def _never(_names: frozenset[str]) -> int | None:
-    return None
+def _never(_names: frozenset[str]) -> Said | None:
+    raise LookupError
 
 
 LONGEST_MOVE_S = 0.2
@@ -80,7 +81,7 @@ class Snapshot:
     cameras: Mapping[str, CameraTopics]
     assembler: FrameAssembler | None
     earlier: Earlier = _nothing
-    joints_begin: JointsBegin = _never
+    joints_with: JointsWith = _never
 
     def _newest(self, topic: str, read: Callable[[Message], Read]) -> Read | None:
         """What a topic's newest message says."""
@@ -163,21 +164,17 @@ class Snapshot:
     def joints_of(self, names: Collection[str]) -> JointSample | None:
         """The newest joints among which are all of `names`: a gripper's come on the same topic as the arm's.
 
-        None before the first. Where they never come, or none have come of late to who cannot look further back, the
-        newest of all, whose names tell what came instead.
+        None before the first. Where they never come, or none have come for as long as anybody remembers, the newest of
+        all, whose names tell what came instead.
         """
         newest, wanted = self.joints, frozenset(names)
         if newest is None or wanted.issubset(newest.names):
             return newest
-        begin = self.joints_begin(wanted)
-        if begin is not None and begin > self.stamp:
-            return None
-        for reach in JOINTS_REACHES_NS if begin is None else (*JOINTS_REACHES_NS, self.stamp - begin):
-            for said in reversed(self.earlier(JOINT_STATES, reach)):
-                sample = _read(JOINT_STATES, said, convert.joint_sample_from_message)
-                if wanted.issubset(sample.names):
-                    return sample
-        return newest
+        try:
+            said = self.joints_with(wanted)
+        except LookupError:
+            return newest
+        return None if said is None else _read(JOINT_STATES, said, convert.joint_sample_from_message)
 
     @cached_property
     def path(self) -> JointPath | None:
@@ -207,6 +204,14 @@ class Snapshot:
         """
         image = self._newest(self.cameras[camera].image, _decoded)
         return None if image is None or self.assembler is None else self.assembler.view(camera, image)
+
+
+def newest_joints(told: Sequence[AnySaid], names: frozenset[str]) -> AnySaid | None:
+    """The newest of some joints, oldest first, among which are all of some names; None where none are."""
+    for said in reversed(told):
+        if names.issubset(_read(JOINT_STATES, said, convert.joint_sample_from_message).names):
+            return said
+    return None
 
 
 def _read(topic: str, said: Said, read: Callable[[Message], Read]) -> Read:

@@ -11,7 +11,7 @@ from functools import cached_property, partial
 
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
-from twin_node.nodes.snapshot import Said, Snapshot
+from twin_node.nodes.snapshot import Said, Snapshot, newest_joints
 from twin_node.nodes.topics import (
     DIAGNOSTICS,
     GAUSSIANS,
@@ -191,6 +191,12 @@ class ViewerNode(Node):
     def _earlier(self, stamp: int, topic: str, ns: int) -> Sequence[Said]:
         return [said for said in self._past.get(topic, ()) if stamp - ns <= said.stamp <= stamp]
 
+    def _joints_with(self, stamp: int, names: frozenset[str]) -> Said:
+        said = newest_joints(self._earlier(stamp, JOINT_STATES, REMEMBERED_NS[JOINT_STATES]), names)
+        if said is None:
+            raise LookupError
+        return said
+
     def _draw(self) -> None:
         go_last()
         drawn: dict[str, Said] = {}
@@ -212,8 +218,9 @@ class ViewerNode(Node):
         topics = {} if cameras is None else {camera.name: camera for camera in cameras.topics}
         assembler = None if cameras is None else cameras.assembler
         now = self.clock.now()
+        earlier, joints_with = partial(self._earlier, now), partial(self._joints_with, now)
         try:
-            self._page.show(Snapshot(now, newest, topics, assembler, partial(self._earlier, now)))
+            self._page.show(Snapshot(now, newest, topics, assembler, earlier, joints_with))
             self._problem = None
         except TwinError as error:  # of one message: the next may be sound, and the page says what was wrong
             self._problem = str(error)
