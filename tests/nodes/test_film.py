@@ -201,6 +201,19 @@ def test_a_camera_without_images_of_its_own_shape_has_its_place(tmp_path: Path) 
     assert (picture[:24] > 0).all() and (picture[24:, :64] > 0).all() and not picture[24:, 64:].any()
 
 
+def test_cameras_narrower_than_a_picture_keep_their_width_and_columns_stay_in_line(tmp_path: Path) -> None:
+    """No image is enlarged: those of a rig of 320 and 640 pixels are not of one width at the usual 480."""
+    log = write_images(tmp_path / "images.mcap", {"narrow": (32, 24), "wide": (96, 64)})
+    for view, size in (("beside", (16 + 24 + 16 + 43, 4 * 64)), ("forecast", (16 + 43, 32 + 64))):
+        assert render(log, "--view", view, "--width", 64, "-o", tmp_path / "a.png") == 0
+        picture = cv2.imread(str(tmp_path / "a.png"))[22:]
+        assert picture.shape[:2] == size
+    assert render(log, "--view", "beside", "--width", 64, "-o", tmp_path / "b.png") == 0
+    narrow = cv2.imread(str(tmp_path / "b.png"))[22 + 16 : 22 + 16 + 24].reshape(24, 4, 64, 3)
+    assert narrow[:, 0, :32].min() == 128 and not narrow[:, 0, 32:].any()
+    assert narrow[:, 2, :32].any() and not narrow[:, :, 32:].any()
+
+
 def test_a_rig_file_of_some_of_the_cameras_shows_those(tmp_path: Path) -> None:
     log = write_images(tmp_path / "images.mcap", {"left": (64, 48), "right": (64, 24)})
     save_rig(RigFile(Rig((camera_of("right", (64, 24)),))), tmp_path / "rig.yaml")

@@ -38,7 +38,11 @@ def add_render(commands: Any) -> None:
     render.add_argument("--stop", type=not_negative, metavar="S", help="film: up to here (default the log's end)")
     render.add_argument("--rate", type=rate, metavar="HZ", help="film: pictures per second (default 30)")
     render.add_argument(
-        "--width", type=width, default=480, metavar="PX", help="width of one camera's picture (default 480)"
+        "--width",
+        type=width,
+        default=480,
+        metavar="PX",
+        help="width of one camera's picture, as wide as its images at most (default 480)",
     )
     render.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of the log's own")
     add_remap(render)

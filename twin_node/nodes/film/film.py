@@ -33,7 +33,9 @@ class Film:
     """Draws snapshots of a playback in one of the `VIEWS`."""
 
     def __init__(self, playback: Playback, view: str, width: int, arm: ArmModel, camera: str | None = None) -> None:
-        """`width`: of one camera's picture, px; `arm`: of the log's joints; `camera`: only this one.
+        """`width`: of one camera's picture, px, where its images are as wide; `arm`: of the log's joints.
+
+        `camera`: only this one.
 
         Raises `FilmError` for what is not there, and `GraphError` for logs without what the view shows of the twin.
         """
@@ -101,7 +103,8 @@ class Film:
             f"difference x {ERROR_GAIN:g}": differs,
             f"foreseen for {HORIZONS_NS[-1] // 1_000_000} ms": foreseen,
         }
-        return np.hstack([_titled(title, picture) for title, picture in titled.items()])
+        widest = max(other.width for other in self._cameras)
+        return np.hstack([_widened(_titled(title, picture), widest) for title, picture in titled.items()])
 
     def _foreseen(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         """The image, space foreseen for the last horizon in blue, what moves now and the arm outlined.
@@ -180,6 +183,11 @@ def _titled(title: str, picture: UInt8) -> UInt8:
     return np.vstack([_words(title, picture.shape[1], TITLE_PX), picture])
 
 
+def _widened(picture: UInt8, width: int) -> UInt8:
+    """A picture and black to its right, so wide in all: what is below each other in a film is in line."""
+    return np.pad(picture, ((0, 0), (0, width - picture.shape[1]), (0, 0)))
+
+
 def _words(words: str, width: int, height: int) -> UInt8:
     """[height, width, 3] a white strip with words, smaller where they are longer than it."""
     strip = np.full((height, width, 3), 255, np.uint8)
@@ -191,7 +199,7 @@ def _words(words: str, width: int, height: int) -> UInt8:
 
 
 def _side_by_side(pictures: Sequence[UInt8]) -> UInt8:
-    """Pictures of one width, their tops in line: cameras need not have the same shape of image."""
+    """Pictures with their tops in line: cameras need not have the same shape of image."""
     height = max(picture.shape[0] for picture in pictures)
     return np.hstack([np.pad(picture, ((0, height - picture.shape[0]), (0, 0), (0, 0))) for picture in pictures])
 
