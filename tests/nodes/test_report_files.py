@@ -27,6 +27,7 @@ from twin_node.nodes.report.quality import LeftOut, Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY
+from twin_node.rig.drift_report import Drift, DriftReport, Verdict
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import Camera, FrameSet, Separation, View
@@ -99,7 +100,7 @@ def test_what_could_not_be_measured_is_null_and_has_a_reason(rate: float | None)
         run = replace(short_run(), rate=rate, bytes_per_frame=float("nan"), spool=spool)
         score = Score(0.9, 0.9, 0.9, 0.9, 10.0, 5.0, 1.0, None, 20.0)
         foresight = Foresight({"ours": score, "persistence": score}, "/truth/occupancy", recalls=((0, 0.9),))
-        figures = figures_of(run, Quality(), {"left": LeftOut(None, 20.0)}, foresight)
+        figures = figures_of(run, Quality(), {"left": LeftOut(None, 20.0)}, foresight, 0)
     unknown = set(unknown_in(figures))
     assert {"forecast.coverage", "arm.min_distance_m", "quality.psnr_db"} <= unknown
     assert {"forecast.iou", "forecast.baselines.persistence.iou"} <= unknown
@@ -107,6 +108,16 @@ def test_what_could_not_be_measured_is_null_and_has_a_reason(rate: float | None)
     assert unknown == set(figures["reasons"])
     assert figures["forecast"]["coverage_target"] == 0.99
     assert "near" in figures["reasons"]["arm.min_distance_m"]
+
+
+def test_what_the_drift_watch_saw_is_told_by_the_time_of_the_span() -> None:
+    """As pictures and curves are: where the first set came 5 s after the arm's joints it was told 5 s too early."""
+    run, second = short_run(), 10**9
+    for seconds, verdict in ((5, Verdict.STEADY), (7, Verdict.BUMPED)):
+        stamp = (100 + seconds) * second
+        run.collector.drift.append(DriftReport(stamp, (Drift("left", verdict, 0.3, 0.5, 40, stamp),)))
+    changes = figures_of(run, Quality(), {}, Foresight(), 100 * second)["cameras"]["left"]["changes"]
+    assert [(change["at_s"], change["verdict"]) for change in changes] == [(7.0, "bumped")]
 
 
 @pytest.mark.parametrize("topic", [None, JOINT_STATES, TRAJECTORY])
@@ -117,7 +128,7 @@ def test_a_made_up_arm_is_called_so(topic: str | None) -> None:
     run.collector.activate()
     if topic is not None:
         run.collector.bus.publish(topic, object())
-    figures = figures_of(run, Quality(), {}, Foresight())
+    figures = figures_of(run, Quality(), {}, Foresight(), 0)
     labels = [card["label"] for card in _cards(figures)]
     told = ["made-up ur10e" in _lead(cast(LogSession, session), run), figures["arm"]["is_made_up"]]
     told += [f"smallest distance to {whose} arm" in labels for whose in ("a made-up", "the")]
@@ -135,7 +146,7 @@ def test_where_nothing_came_due_no_empty_chart_promises_it() -> None:
 def test_the_first_set_of_lockstep_builds_the_model_and_is_no_work_per_set() -> None:
     run = short_run()
     run.collector.work_ms = [9000.0, 20.0, 20.0]
-    assert figures_of(run, Quality(), {}, Foresight())["latency_ms"]["p99"] == 20.0
+    assert figures_of(run, Quality(), {}, Foresight(), 0)["latency_ms"]["p99"] == 20.0
 
 
 @pytest.mark.parametrize(("seconds", "is_told"), [(10, False), (3600, True)])
@@ -144,7 +155,7 @@ def test_a_page_says_how_much_of_a_long_run_was_scored(seconds: int, is_told: bo
     with Spool(0, seconds * 1_000_000_000, 30.0) as spool:
         spool.add(Tick(FrameSet(stamp=0, views=(), sequence=0)))
         run = replace(short_run(), spool=spool)
-        assert figures_of(run, Quality(), {}, Foresight())["scored"] == 1
+        assert figures_of(run, Quality(), {}, Foresight(), 0)["scored"] == 1
         lead = _lead(cast(LogSession, session), run)
     assert ("scored on 1 sets, in blocks of a second" in lead) is is_told
 

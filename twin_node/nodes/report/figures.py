@@ -17,8 +17,13 @@ from twin_node.nodes.report.quality import FEWEST_PIXELS, LeftOut, Quality
 from twin_node.scene import Separation, Tier
 
 
-def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight) -> dict[str, Any]:
-    """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why."""
+def figures_of(
+    run: Run, quality: Quality, left_out: Mapping[str, LeftOut], foresight: Foresight, start: int
+) -> dict[str, Any]:
+    """Everything measured, as JSON values; what could not be measured is None, and `reasons` says why.
+
+    `start`: of the span, ns, which times are told from.
+    """
     collector = run.collector
     counts = collector.tier_counts[-1] if collector.tier_counts else [0] * len(Tier)
     figures: dict[str, Any] = {
@@ -37,22 +42,22 @@ def figures_of(run: Run, quality: Quality, left_out: Mapping[str, LeftOut], fore
         "peak_rss_mb": run.peak_rss_mb,
         "forecast": {**foresight.figures(), **_coverage(collector.quality)},
         "arm": {**_arm(collector.separations), "is_made_up": not collector.is_arm_told},
-        "cameras": _cameras(collector),
+        "cameras": _cameras(collector, start),
         "warnings": dict(collector.warnings),
     }
     found = known(figures)
     return {**found, "reasons": _reasons(found, foresight, collector)}
 
 
-def _cameras(collector: CollectorNode) -> dict[str, Any]:
-    """What the drift watch said of each camera: the last verdict, its turn then, and every change on the way."""
+def _cameras(collector: CollectorNode, start: int) -> dict[str, Any]:
+    """What the drift watch said of each camera: the last verdict, and every change on the way with its turn then."""
     cameras: dict[str, Any] = {}
     for report in collector.drift:
         for drift in report.drifts:
             camera = cameras.setdefault(drift.camera, {"changes": []})
             verdict = drift.verdict.name.lower()
             if camera.get("verdict", "steady") != verdict:
-                seconds = (report.stamp - collector.drift[0].stamp) / 1e9
+                seconds = (report.stamp - start) / 1e9
                 camera["changes"].append({"at_s": seconds, "verdict": verdict, "turn_deg": drift.angle_deg})
             camera["verdict"] = verdict
             camera["left_out_sets"] = collector.withheld.get(drift.camera, 0)

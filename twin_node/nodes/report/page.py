@@ -62,7 +62,7 @@ def write_report(run: Run, session: LogSession, folder: Path, step: Callable[[],
     step()
     foresight = score_forecasts(spool, session.log, run.parameters, FORECAST_TIMES)
     step()
-    figures = figures_of(run, quality, left_out, foresight)
+    figures = figures_of(run, quality, left_out, foresight, session.span.start_ns)
     html = _page(session, run, figures, strips.taken, foresight)
     _write(folder, dict(zip(FILES, (json_text(figures, 2) + "\n", html), strict=True)))
     step()
