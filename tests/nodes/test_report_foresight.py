@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+import weakref
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from twin_node.forecast import ForecastParameters
@@ -12,6 +14,7 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
 from twin_node.nodes.report.foresight import score_forecasts
+from twin_node.nodes.spool import Tick
 from twin_node.nodes.synchronizer import SynchronizerParameters
 
 
@@ -28,3 +31,28 @@ def test_baselines_stand_on_the_evidence_of_the_run(cell_log: Callable[..., Path
         others = score_forecasts(run.spool, session.log, ChainParameters(), 0).methods["persistence"]
     assert scores["ours"].moving_volume_l == scores["persistence"].moving_volume_l == 0
     assert scores["ours"].volume_l == scores["persistence"].volume_l != others.volume_l
+
+
+def test_a_run_is_never_held_whole(cell_log: Callable[..., Path]) -> None:
+    """It is on the disk because it is too large: all sets in which anything moved were in memory for six pictures."""
+    chain = ChainParameters(
+        synchronizer=SynchronizerParameters(width=64, max_rate_hz=15),
+        model=ModelParameters(seed=SeedParameters(steps=2)),
+    )
+    ticks: list[weakref.ref[Tick]] = []
+    alive: list[int] = []
+    with LogSession(cell_log(2.4)) as session, replay(session, chain, rate=None, keep_ticks=True) as run:
+        spool = run.spool
+        assert spool is not None
+
+        def counted() -> Iterator[Tick]:
+            for tick in spool:
+                ticks.append(weakref.ref(tick))
+                yield tick
+                gc.collect()
+                alive.append(sum(known() is not None for known in ticks))
+
+        found = score_forecasts(counted(), session.log, run.parameters, 2)
+    assert len(ticks) >= 25 and len(found.recalls) > 15
+    assert len(found.examples) == 2
+    assert max(alive) <= 2

@@ -16,17 +16,17 @@ from twin_node.forecast.score import contains
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.truth import OBSERVED_NS, truth_of
-from twin_node.scene import HORIZONS_NS, Grid, Occupancy, UInt32
-from twin_node.thinning import thinned
+from twin_node.scene import HORIZONS_NS, Grid, Occupancy, UInt32, View
+from twin_node.thinning import Thinning
 
 OURS = "ours"
 
 
 @dataclass(frozen=True)
 class ForecastExample:
-    """A forecast, the set at the time it was for, and what was seen to move then: for the pictures."""
+    """A forecast, an image of the time it was for, and what was seen to move then: for the pictures."""
 
-    tick: Tick
+    view: View
     grid: Grid
     foreseen: UInt32
     seen: UInt32
@@ -60,7 +60,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
     comparison = Comparison(truth, "persistence")
     baselines: BaselineForecaster | None = None
     due: deque[Occupancy] = deque()
-    shown: list[ForecastExample] = []
+    shown: Thinning[ForecastExample] = Thinning(examples)
     recalls: list[tuple[int, float]] = []
     for tick in ticks:
         if tick.state is None or tick.occupancy is None:
@@ -76,9 +76,9 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
         if foreseen is not None and len(seen):
             held = contains(ours.grid, foreseen.layers[-1].indices, seen.astype(np.int64))
             recalls.append((tick.stamp, float(held.mean())))
-            shown.append(ForecastExample(tick, ours.grid, foreseen.layers[-1].indices, seen))
+            shown.add(ForecastExample(tick.frames.views[0], ours.grid, foreseen.layers[-1].indices, seen))
         due.append(ours)
-    return Foresight(comparison.scores(), truth.source, tuple(thinned(shown, examples)), tuple(recalls))
+    return Foresight(comparison.scores(), truth.source, tuple(shown.picked()), tuple(recalls))
 
 
 def _come_due(due: deque[Occupancy], stamp: int) -> Occupancy | None:

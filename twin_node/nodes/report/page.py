@@ -182,7 +182,7 @@ def _strips(taken: Sequence[Renderings], start: int) -> list[Captioned]:
 
 
 def _forecast(foreseen: ForecastExample, start: int) -> Captioned:
-    view = foreseen.tick.frames.views[0]
+    view = foreseen.view
     picture = pictures.forecast_picture(unit(view), view.camera, foreseen.grid, foreseen.foreseen, foreseen.seen)
     return Captioned(_encoded(pictures.png(picture)), f"{view.camera.name}, {_seconds(view.stamp, start)}")
 
