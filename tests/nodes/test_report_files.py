@@ -22,7 +22,7 @@ from twin_node.nodes.player import Span
 from twin_node.nodes.replay import Run
 from twin_node.nodes.report.figures import figures_of
 from twin_node.nodes.report.foresight import Foresight
-from twin_node.nodes.report.page import ReportError, _cards, _curves, _lead, _write
+from twin_node.nodes.report.page import ReportError, _cards, _curves, _lead, _page, _write
 from twin_node.nodes.report.quality import LeftOut, Quality
 from twin_node.nodes.set_contents import SetContents
 from twin_node.nodes.spool import Spool, Tick
@@ -134,6 +134,18 @@ def test_a_made_up_arm_is_called_so(topic: str | None) -> None:
     told += [f"smallest distance to {whose} arm" in labels for whose in ("a made-up", "the")]
     told.append(figures["reasons"]["quality.psnr_arm_db"] == "nothing is told of an arm")
     assert told == [topic is None, topic is None, topic is None, topic is not None, topic is None]
+
+
+def test_a_page_about_the_folder_that_one_is_in_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`twin_node replay .` made one without title and heading."""
+    (tmp_path / "cell").mkdir()
+    monkeypatch.chdir(tmp_path / "cell")
+    run, log = short_run(), SimpleNamespace(path=Path())
+    run.collector.stamps, run.collector.tier_counts = [0], [[1, 0, 0, 0, 0]]
+    session = SimpleNamespace(log=log, span=Span(0, 10**9), rig=SimpleNamespace(cameras=()))
+    figures = figures_of(run, Quality(), {}, Foresight(), 0)
+    page = _page(cast(LogSession, session), run, figures, (), Foresight())
+    assert "<title>twin_node: cell</title>" in page and "<h1>cell</h1>" in page
 
 
 def test_where_nothing_came_due_no_empty_chart_promises_it() -> None:

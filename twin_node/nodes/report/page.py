@@ -105,7 +105,7 @@ def _page(
     environment = Environment(autoescape=True, trim_blocks=True)
     start = session.span.start_ns
     return environment.from_string(template).render(
-        title=session.log.path.name,
+        title=session.log.path.absolute().name,
         lead=_lead(session, run),
         warnings=[f"{text} ({count} set{'s' if count > 1 else ''})" for text, count in figures["warnings"].items()],
         changes=_changes(figures["cameras"]),
