@@ -10,6 +10,8 @@ from obstacle_sets import MS, NOW, obstacles
 from turning_arm import REACTION_S, READY, TURNING, ahead, beside_the_tool
 
 from twin_node.arm import ArmCollisionChecker, decide, sample_path, stopping_table
+from twin_node.arm.course import ArmMotion
+from twin_node.arm.decision import _until_standstill
 from twin_node.arm.ur import servo_stopping
 from twin_node.robot.ur import JOINT_NAMES
 from twin_node.scene import JointPath, JointSample, ObstacleKind
@@ -77,3 +79,31 @@ def test_how_fast_an_arm_goes_counts_as_a_share_of_its_path_s_speed(
     for left_m in slowed:
         assert told(left_m, free[left_m]) == free[left_m]
         assert told(left_m, 1.0) < free[left_m]
+
+
+def test_an_arm_is_looked_at_until_it_stands_and_not_only_as_far_as_its_path_is_told(
+    ur5e_checker: ArmCollisionChecker,
+) -> None:
+    """One that begins to turn as its path ends gets to what stands beside it before it can stop."""
+    late = servo_stopping(ur5e_checker.model, stopping_table("ur5e"))
+    course = ArmMotion(NOW, REACTION_S, 2 * TURNING, late).course(1.0)
+    stands_ms = round((course.steady_s + course.braking_s) * 1e3)
+    assert stands_ms > 250, "the path ends before"
+
+    def share(told_ms: int, left_m: float) -> float:
+        thing = beside_the_tool(ur5e_checker, left_m, kind=ObstacleKind.STATIC, valid_ms=(0, 1000))
+        ur5e_checker.update(obstacles(thing))
+        turned = READY + 2 * TURNING * np.array([[0.0], [0.0], [(told_ms - 180) * 1e-3]])
+        path = through([0, 180, told_ms], turned)
+        return decide(ur5e_checker, path, NOW, REACTION_S, table=late).speed_fraction
+
+    shares = [(share(200, left_m), share(stands_ms, left_m)) for left_m in (0.12, 0.16, 0.2)]
+    assert all(told == whole < 1.0 for told, whole in shares), shares
+
+
+def test_no_way_is_gone_on_with_for_more_than_a_second(ur5e_checker: ArmCollisionChecker) -> None:
+    """Nor in finer steps than are told: an arm without brakes would be looked at along its way for ever."""
+    motion = ArmMotion(NOW, 30.0, TURNING, stopping_table("ur5e"))
+    way = _until_standstill(ur5e_checker.model, ahead(TURNING), motion)
+    assert way.stamps[-1] - NOW == 1200 * MS
+    assert np.diff(way.stamps).max() <= 10 * MS and len(way.stamps) == 121
