@@ -18,7 +18,7 @@ def add_acknowledge(commands: Any) -> None:
         "ur-driver runs. Look at the cell first: the arm may move at once. Exit status: 0 the arm is not halted, 1 it "
         "still is.",
     )
-    add_namespace(parser, "the driver")
+    add_namespace(parser, "of the driver in this namespace")
     parser.set_defaults(run=_acknowledge)
 
 

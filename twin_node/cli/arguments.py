@@ -57,9 +57,9 @@ def add_log(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="MCAP file or rosbag2 folder")
 
 
-def add_namespace(parser: argparse.ArgumentParser, of: str) -> None:
-    """`of`: what is in the namespace."""
-    parser.add_argument("--namespace", metavar="/NAME", help=f"namespace of {of} on the graph (default: none)")
+def add_namespace(parser: argparse.ArgumentParser, does: str) -> None:
+    """The namespace of a twin on the graph; `does`: what the command does with it."""
+    parser.add_argument("--namespace", metavar="/NAME", help=f"{does} (default: none)")
 
 
 def add_remap(parser: argparse.ArgumentParser) -> None:

@@ -35,7 +35,7 @@ def add_record(commands: Any) -> None:
         default="none",
         help="of the file's chunks; zstd makes what a twin says a quarter, for a twentieth of a core (default none)",
     )
-    add_namespace(record, "the twin that is recorded, under its own names,")
+    add_namespace(record, "record the topics of this namespace, under their names within it")
     record.set_defaults(run=_record)
 
 
@@ -77,7 +77,7 @@ def add_play(commands: Any) -> None:
     play.add_argument(
         "--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages read ahead (default 1000)"
     )
-    add_namespace(play, "what is played")
+    add_namespace(play, "publish in this namespace")
     play.set_defaults(run=_play)
 
 

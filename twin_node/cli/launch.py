@@ -46,7 +46,7 @@ def add_launch(commands: Any) -> None:
     parser.add_argument(
         "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="rename a topic of all nodes; repeatable"
     )
-    add_namespace(parser, "all nodes and their topics (also -r __ns:=/NAME)")
+    add_namespace(parser, "put all nodes and their topics into a namespace, as -r __ns:=/NAME does")
     parser.add_argument("-s", "--show-args", action="store_true", help="list the file's arguments and end")
     parser.add_argument("--one-process", action="store_true", help="all nodes in one process, a thread each")
     parser.add_argument(

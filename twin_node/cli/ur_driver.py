@@ -78,7 +78,7 @@ def add_ur_driver(commands: Any) -> None:
     parser.add_argument("--decisions", type=Path, metavar="LOG.mcap", help="play /twin/separation of this log")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.mcap", help="record what it publishes in a new log")
     parser.add_argument("--duration", type=positive, metavar="S", help="end after S seconds")
-    add_namespace(parser, "the twin that decides")
+    add_namespace(parser, "obey the twin of this namespace")
     parser.set_defaults(run=_run)
 
 

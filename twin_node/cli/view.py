@@ -43,7 +43,7 @@ def add_view(commands: Any) -> None:
     view.add_argument(
         "--endpoint", metavar="ADDRESS", help="with --live: the graph's router (default tcp/127.0.0.1:7447)"
     )
-    add_namespace(view, "the twin, with --live,")
+    add_namespace(view, "with --live: the twin of this namespace")
     view.add_argument("--rig", type=Path, metavar="RIG.yaml", help="calibration, instead of what log or graph say")
     add_remap(view)
     add_arm(view)
