@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from twin_node.errors import TwinError, kind_in_words, kind_of, told
-from twin_node.yaml_file import read_yaml
+from twin_node.yaml_file import read_yaml, yaml_text
 
 T = TypeVar("T")
 
@@ -159,7 +159,21 @@ def _plain(hint: type, value: Any, where: str) -> Any:
     if hint is float and is_whole:
         return float(value)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {told(value)}")
+        advice = f"; write {_in_yaml(value)}" if hint is float and isinstance(value, str) and _is_number(value) else ""
+        raise ParameterError(f"{where}: expected {kind_in_words(hint)}, found {told(value)}{advice}")
     if isinstance(value, float) and math.isnan(value):
         raise ParameterError(f"{where}: expected a number, found nan")
     return value
+
+
+def _is_number(text: str) -> bool:
+    """Whether a text is a number all the same: one in quotes, or as `1e-3`, which YAML takes for text."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _in_yaml(text: str) -> str:
+    """A text that is a number as YAML has that."""
+    return yaml_text(float(text)).split()[0]
