@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,16 +22,17 @@ from twin_node.messages import convert, header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
 from twin_node.nodes.live.cameras import CamerasNode, make_cameras
 from twin_node.nodes.live.cell import CellNode, CellParameters
+from twin_node.nodes.live.rig_messages import depth_message, publish_image
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import JOINT_STATES, TF_STATIC, TRAJECTORY, GraphError, kind_of
+from twin_node.nodes.topics import FRUSTA, JOINT_STATES, TF_STATIC, TRAJECTORY, GraphError, kind_of
 from twin_node.rig.cameras import CameraHealth, CameraImage
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.scene import JointSample
+from twin_node.scene import JointSample, RigCamera
 
 RIG = RigParameters(scenario="demo", image="image_raw", depth="depth/image_rect")
 WAIT_S = 60.0
@@ -69,6 +71,22 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert joints == sorted(joints)
     assert len(joints) > len(heard[TRAJECTORY]) > 0
     assert len(heard[TF_STATIC]) == 1
+
+
+def test_a_reader_that_hangs_holds_no_camera_up() -> None:
+    """A recorder that was stopped let the cameras' CameraInfo wait for five seconds, their images with it, and the arm
+    stood: what is latched waits for a reader's room unless it soon comes anew."""
+    sent: list[str] = []
+    bus = SimpleNamespace(publish=lambda topic, _: sent.append(topic))
+    camera = RigCamera("left", 4, 3, np.eye(3), np.eye(4))
+    topics = topics_of("left", RIG)
+    image = np.zeros((3, 4, 3), np.uint8)
+    publish_image(bus, topics, camera, 0, image, depth_message(topics, 0, np.ones((3, 4), np.float32)))
+    assert sent == [topics.info, topics.depth, topics.image]
+    for topic in (*sent, FRUSTA):
+        kind = kind_of(topic)
+        assert kind is not None
+        assert kind.qos.repeats or not kind.qos.latched, topic
 
 
 @pytest.mark.parametrize("model", ["", "ur10e"])

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 from twin_logs import with_notes
@@ -22,6 +23,7 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
+from twin_node.scene import Rig, RigCamera
 
 STRING = "std_msgs/msg/String"
 START, STEP = 1_000_000_000_000, 50_000_000
@@ -347,3 +349,20 @@ def test_of_two_topics_with_one_name_on_the_graph_one_is_played_and_the_other_to
 def test_what_cannot_be_played_is_told(log: Path, flags: dict[str, Any], words: str) -> None:
     with pytest.raises(GraphError, match=words):
         Theatre(log, **flags)
+
+
+def test_a_reader_that_hangs_holds_no_player_up(tmp_path: Path) -> None:
+    """What comes with every image of a recording soon comes anew, latched or not: it waited for a viewer's room."""
+    path = tmp_path / "run.mcap"
+    info = convert.camera_info(RigCamera("left", 4, 3, np.eye(3), np.eye(4)), START)
+    with RecordingWriter(path) as writer:
+        for topic in ("/left/camera_info", "/tf_static", "/map"):
+            message = convert.tf_static(Rig(()), START) if topic == "/tf_static" else info
+            writer.write(topic, message.__msgtype__, bytes(serialize(message)), START, builtin_types(), latched=True)
+    theatre = Theatre(path)
+    theatre.node.configure()
+    announced = {topic: told.qos for topic, told in theatre.wire.topics.items()}
+    assert all(qos.latched for qos in announced.values())
+    assert [topic for topic, qos in announced.items() if qos.repeats] == ["/left/camera_info"]
+    assert announced["/tf_static"].depth > 1
+    theatre.node.cleanup()

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
-from twin_node.runtime.qos import EVERY, FRESH, LATCHED, LATCHED_BY_SEVERAL, NEWEST, SENSOR_DATA, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, FRESH, LATCHED_BY_SEVERAL, NEWEST, SENSOR_DATA, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -84,7 +84,7 @@ _MESSAGE_TYPES = {
     ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty"),
     TF: TopicKind("tf2_msgs/msg/TFMessage"),
     OBSTACLE_MARKERS: TopicKind("visualization_msgs/msg/MarkerArray", NEWEST),
-    FRUSTA: TopicKind("visualization_msgs/msg/MarkerArray", LATCHED),
+    FRUSTA: TopicKind("visualization_msgs/msg/MarkerArray", Qos(depth=1, latched=True, repeats=True)),
     SEPARATION_MARKER: TopicKind("visualization_msgs/msg/Marker"),
     TF_STATIC: TopicKind("tf2_msgs/msg/TFMessage", LATCHED_BY_SEVERAL),
     CLOCK: TopicKind("rosgraph_msgs/msg/Clock", Qos(depth=1, reliable=False)),
@@ -101,7 +101,7 @@ _SUFFIXES = {
     "/compressed": TopicKind(COMPRESSED, SENSOR_DATA),
     "/compressedDepth": TopicKind(COMPRESSED, SENSOR_DATA),
     "/zstd": TopicKind(COMPRESSED, SENSOR_DATA),
-    "/camera_info": TopicKind(CAMERA_INFO, LATCHED),
+    "/camera_info": TopicKind(CAMERA_INFO, Qos(depth=1, latched=True, repeats=True)),
     "/image_raw": TopicKind(RAW, SENSOR_DATA),
     "/image_rect": TopicKind(RAW, SENSOR_DATA),
     SPEED_SCALING_INPUT: TopicKind("control_msgs/msg/SpeedScalingFactor", Qos(depth=1, latched=True, repeats=True)),

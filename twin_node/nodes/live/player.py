@@ -15,10 +15,19 @@ from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
-from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, absolute, is_topic_name, parse_remaps
+from twin_node.nodes.topics import (
+    ACKNOWLEDGE,
+    CLOCK,
+    FOLLOW,
+    GraphError,
+    absolute,
+    is_topic_name,
+    kind_of,
+    parse_remaps,
+)
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
 from twin_node.runtime.node import Node
-from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, RELIABLE, TopicKind
+from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, RELIABLE, Qos, TopicKind
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
 
@@ -107,9 +116,8 @@ class PlayNode(Node):
     def on_configure(self) -> None:
         for topic in self._log.topics:
             if topic.name in self._names:
-                latched = LATCHED_BY_SEVERAL if is_of_several(topic.name) else LATCHED
                 type_hash = self._log.types_of(topic.name).type_hash(topic.msgtype)
-                kind = TopicKind(topic.msgtype, latched if topic.latched else RELIABLE, type_hash)
+                kind = TopicKind(topic.msgtype, _latched(topic.name) if topic.latched else RELIABLE, type_hash)
                 self._bus.declare(self._names[topic.name], kind)
                 self._bus.advertise(self._names[topic.name])
         if self._parameters.clock:
@@ -181,6 +189,14 @@ class PlayNode(Node):
                 return True
             self._stop.wait(min(left, LONGEST_WAIT_S))
         return False
+
+
+def _latched(topic: str) -> Qos:
+    """Of a topic that the log says is latched: as the graph's own has it, which may soon come anew."""
+    own = kind_of(topic)
+    if own is not None and own.qos.latched:
+        return own.qos
+    return LATCHED_BY_SEVERAL if is_of_several(topic) else LATCHED
 
 
 class _LogTime:
