@@ -23,6 +23,7 @@ from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.ply import StoredGaussians, cloud_from_stored, read_ply, stored_from_cloud, write_ply
 from twin_node.nodes.export import ExportError, ExportSpan, LogSource, Moment, export
+from twin_node.nodes.export import usd as stages
 from twin_node.nodes.export.clouds import write_spz
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.quality import render_cloud
@@ -239,6 +240,20 @@ def test_usd_is_metres_with_colliders_that_come_and_go(twin_log: Path, tmp_path:
     assert not UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(
         stage
     )
+
+
+def test_obstacles_of_a_stage_are_hidden_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells of space get new ids as things move on: to hide at every frame all that ever were takes a log's square."""
+    usd = pytest.importorskip("pxr.Usd")
+    hidden: list[int] = []
+    hide = stages._Collider.hide
+    monkeypatch.setattr(stages._Collider, "hide", lambda self, frame: (hidden.append(frame), hide(self, frame)))
+    obstacles = stages._Obstacles(usd.Stage.CreateInMemory())
+    for k in range(9):
+        said = obstacles_at(0, START)
+        said = replace(said, ids=said.ids + np.uint32(10 * k)).only(np.arange(3))
+        obstacles.place(k, Moment(START, 0.0, said, None, None))
+    assert hidden == sorted([*range(1, 9)] * 3)
 
 
 def stage_of(clouds: Mapping[int, GaussianCloud], folder: Path) -> Any:

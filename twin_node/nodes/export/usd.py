@@ -150,10 +150,11 @@ class _Obstacles:
         UsdGeom.Scope.Define(stage, "/World/Obstacles")
         self._stage = stage
         self._colliders: dict[str, _Collider] = {}
+        self._shown: set[str] = set()
 
     def place(self, frame: int, moment: Moment) -> None:
-        """Puts those in force at a frame where they are, and hides all others."""
-        here = set()
+        """Puts those in force at a frame where they are, and hides those that were in force at the one before."""
+        here: set[str] = set()
         o = moment.obstacles
         for row in range(len(o.ids)):
             kind, shape = ObstacleKind(int(o.kinds[row])), ObstacleShape(int(o.shapes[row]))
@@ -162,8 +163,9 @@ class _Obstacles:
                 self._colliders[name] = _Collider(self._stage, f"/World/Obstacles/{name}", kind, shape)
             self._colliders[name].place(frame, o.positions[row], o.quats[row], o.sizes[row] / 2)
             here.add(name)
-        for name in self._colliders.keys() - here:
+        for name in self._shown - here:
             self._colliders[name].hide(frame)
+        self._shown = here
 
 
 class _Collider:
