@@ -12,6 +12,7 @@ from twin_logs import write_twin_log
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.bag.rig import write_rig
+from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.nodes.log_check import LogCheck, check_log
 from twin_node.nodes.log_source import LogSession
@@ -69,6 +70,15 @@ def test_what_a_replay_would_refuse_is_found(tmp_path: Path) -> None:
     write_log(seldom, Rig((LEFT, RIGHT), BOX), sets=1, apart_ns=5 * MS)
     (fault,) = checked(seldom).faults
     assert fault.startswith("no set of images of left, right: their stamps lie too far apart, or too few")
+
+
+def test_stamps_that_stand_have_no_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for k in range(20):
+            log.write("/joint_states", joints(START, np.zeros(1)), START + k * PERIOD)
+    assert main(["check", str(tmp_path / "log.mcap")]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("/joint_states")]
+    assert "the clock that makes them stands" in line and " Hz" not in line
 
 
 def test_what_a_twin_has_said_is_sound_without_images(tmp_path: Path) -> None:

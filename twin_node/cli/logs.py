@@ -89,7 +89,7 @@ def _check(options: argparse.Namespace) -> int:
     else:
         width = max(len(topic.name) for topic in found.topics)
         for topic in found.topics:
-            rate = "" if math.isnan(topic.statistics.rate_hz) else f"{topic.statistics.rate_hz:8.2f} Hz"
+            rate = f"{topic.statistics.rate_hz:8.2f} Hz" if math.isfinite(topic.statistics.rate_hz) else ""
             print(f"{topic.name:{width}}  {topic.statistics.count:7d}  {rate:>11}  {'; '.join(topic.faults) or 'ok'}")
         for fault in found.faults:
             print(f"found: {fault}")

@@ -90,7 +90,7 @@ class _Ear:
     def line(self, topic: str, width: int) -> str:
         """How often a topic was heard, how old its messages were, and what they are."""
         statistics, delays = statistics_of(self._stamps[topic]), self._delays[topic]
-        rate = "" if math.isnan(statistics.rate_hz) else f"{statistics.rate_hz:8.2f} Hz"
+        rate = f"{statistics.rate_hz:8.2f} Hz" if math.isfinite(statistics.rate_hz) else ""
         lag = f"  {np.median(delays) / 1e6:6.1f} ms old" if delays else ""
         return f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {self._published[topic].msgtype}"
 
