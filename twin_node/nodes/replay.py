@@ -49,7 +49,8 @@ class Run:
     dropped: int
     """Sets that a newer one replaced before the chain had time for them."""
     seconds: float
-    """That the span took at the clock's rate, wall-clock time in lockstep."""
+    """That the span took at the clock's rate, or until the last set had gone through, if that was later; in lockstep
+    wall-clock time."""
     peak_rss_mb: float
     """Of the process and of the model's and the reader's beside it."""
     bytes_per_frame: float
@@ -182,6 +183,7 @@ class _Engine:
                 if frames.stamp > first.stamp:
                     bridge.put_frames(frames)
 
+            through = clock.now()
             latency.start()
             collector.start()
             reading.start(clock, bridge, hand_over)
@@ -190,10 +192,11 @@ class _Engine:
                     for topic, message in messages:
                         working.publish(topic, message)
                     working.publish(FRAMES, frames)
+                    through = clock.now()
                     chain.model_node.work_between_sets(lambda: not bridge.is_waiting)
             finally:
                 bridge.close()
-        seconds = self._session.span.seconds / rate
+        seconds = max(self._session.span.seconds, (through - self._session.span.start_ns) * 1e-9) / rate
         return self._finish(chain, collector, bridge.dropped, seconds, rate, reading.finished)
 
     def _first_set(self, order: Order, bus: LocalBus) -> FrameSet:
