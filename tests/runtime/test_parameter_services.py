@@ -112,6 +112,14 @@ def test_every_parameter_has_a_name_a_type_and_a_value() -> None:
     assert list(parameters_of(Inner(), "arm")) == ["arm.ramp_s", "arm.steps"]
 
 
+@pytest.mark.parametrize(("value", "told"), [(10**400, math.inf), (-(10**400), -math.inf), (10**300, 1e300)])
+def test_a_number_beyond_all_is_told_as_infinite(value: int, told: float) -> None:
+    """As of a seed, which may be any: the node ended in a traceback as it told of itself."""
+    [parameter] = parameters_of({"seed": value}).values()
+    assert (parameter.kind, parameter.value) == (ParameterType.DOUBLE, told)
+    assert value_of(parameter.to_message()) == told
+
+
 def test_values_are_read_as_they_are(heard: Heard) -> None:
     values = heard.ask("/arm/get_parameters", names=list(EXPECTED)).values
     assert {name: (one.type, value_of(one)) for name, one in zip(EXPECTED, values, strict=True)} == EXPECTED

@@ -6,7 +6,9 @@ import ast
 import dataclasses
 import inspect
 import json
+import math
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -132,7 +134,7 @@ def _parameter(value: Any, describe: Callable[[], str]) -> Parameter:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it; a whole number that ROS 2 has no room for is one with a fraction."""
+    """A value as JSON has it; a whole number that ROS 2 has no room for is one with a fraction, or infinite."""
     if isinstance(value, Enum):
         return _plain(value.value)
     if dataclasses.is_dataclass(value) or isinstance(value, Mapping):
@@ -140,7 +142,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return [_plain(one) for one in value]
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > _LARGEST:
-        return float(value)
+        return float(value) if abs(value) <= sys.float_info.max else (math.inf if value > 0 else -math.inf)
     return value if value is None or isinstance(value, bool | int | float) else _SECRET.sub("***@", str(value))
 
 

@@ -154,9 +154,9 @@ def _member(hint: type[Enum], value: Any, where: str) -> Enum:
 def _plain(hint: type, value: Any, where: str) -> Any:
     """A number, a truth value or a text; a whole number will do for any."""
     is_whole = isinstance(value, int) and not isinstance(value, bool)
-    if is_whole and abs(value) > sys.float_info.max:
-        raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
     if hint is float and is_whole:
+        if abs(value) > sys.float_info.max:
+            raise ParameterError(f"{where}: expected a number, found one beyond {sys.float_info.max:.2g}")
         return float(value)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
         advice = f"; write {_in_yaml(value)}" if hint is float and isinstance(value, str) and _is_number(value) else ""
