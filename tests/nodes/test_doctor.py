@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin_node.messages import builtin_types, convert
+from twin_node.messages import builtin_types, convert, message_type
 from twin_node.nodes.live import doctor
 from twin_node.nodes.live.doctor import examine, graph_faults
 from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, JOINT_STATES, RAW, SEPARATION
@@ -118,6 +118,18 @@ def test_what_nodes_of_two_namespaces_say_of_themselves_is_told_apart(monkeypatc
     assert examine(wire, 0.05).faults == ("/b/arm: joints: ERROR: none",)
     monkeypatch.setattr(doctor, "SILENCE_S", 0.05)
     assert examine(wire, 0.05).faults[0].startswith("/a/twin: nothing comes of all that it publishes (/a/diagnostics)")
+
+
+def test_topics_of_other_programs_that_only_end_alike_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an engine calls diagnostics may be a text."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    msgtype, wire, topic = "std_msgs/msg/String", LocalWire(), f"/engine{DIAGNOSTICS}"
+    wire.publisher("engine", topic, TopicKind(msgtype, LATCHED))(message_type(msgtype)(data="warm"))
+    ends = [replace(publisher("engine", topic, msgtype), qos=LATCHED)]
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    assert examine(wire, 0.05).faults == ()
+    first = publisher("first", f"/engine{SEPARATION}", msgtype)
+    assert graph_faults([first, of_another_session(replace(first, number=2))]) == []
 
 
 def test_a_graph_whose_time_stands_is_told() -> None:

@@ -24,6 +24,7 @@ from twin_node.nodes.topics import (
     REGULAR_TYPES,
     TRAJECTORY,
     kind_of,
+    kind_of_own,
 )
 from twin_node.runtime.clock import FollowedClock
 from twin_node.runtime.executor import Executor
@@ -83,7 +84,7 @@ class _Ear:
                 self._delays[topic].append(now - taken)
             stamp = taken
         self._stamps[topic].append(stamp)
-        if topic.endswith(DIAGNOSTICS):
+        if _is_own(topic, message.msgtype, DIAGNOSTICS):
             found = convert.diagnostics_from_message(message.decode())
             self.newest |= {_full(one.name, topic.removesuffix(DIAGNOSTICS)): one for one in found}
 
@@ -103,8 +104,11 @@ class _Ear:
 
     def has_heard(self, node: str, topics: Sequence[str]) -> bool:
         """Whether anything came of what a node publishes; diagnoses are of many nodes, and begin with their names."""
-        others = any(self._stamps[topic] for topic in topics if not topic.endswith(DIAGNOSTICS))
+        others = any(self._stamps[topic] for topic in topics if not self._are_diagnoses(topic))
         return others or any(name.startswith(f"{node}:") for name in self.newest)
+
+    def _are_diagnoses(self, topic: str) -> bool:
+        return _is_own(topic, self._published[topic].msgtype, DIAGNOSTICS)
 
     def close(self) -> list[str]:
         """Hears no more; topics whose messages could not be read."""
@@ -160,13 +164,20 @@ def _silent(ear: _Ear, endpoints: Sequence[Endpoint]) -> list[str]:
     for end in endpoints:
         if end.kind is EntityKind.PUBLISHER:
             said[_node(end)].append(end.topic)
-    regular = {end.topic for end in endpoints if end.topic.endswith(DIAGNOSTICS) or end.msgtype in REGULAR_TYPES}
+    regular = {
+        end.topic for end in endpoints if end.msgtype in REGULAR_TYPES or _is_own(end.topic, end.msgtype, DIAGNOSTICS)
+    }
     return [
         f"{node}: nothing comes of all that it publishes ({', '.join(sorted(topics))}); it hangs or waits, or its "
         "machine, or the link to it, has failed"
         for node, topics in sorted(said.items())
         if not regular.isdisjoint(topics) and not ear.has_heard(node, topics)
     ]
+
+
+def _is_own(topic: str, msgtype: str, own: str) -> bool:
+    """Whether a topic of the graph is one of the graph's own, in whatever namespace."""
+    return topic.endswith(own) and msgtype == kind_of_own(own).msgtype
 
 
 def _node(end: Endpoint) -> str:
@@ -206,7 +217,8 @@ def _silence_fault(topic: str, ends: Sequence[Endpoint], endpoints: Sequence[End
 def _rivalry_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
     """Who publish a topic that only one may; None: one, or it may be several."""
     said_by = _publishers(ends)
-    if len(said_by) < 2 or not (topic.endswith(OF_ONE) or ends[0].msgtype in IMAGE_TYPES):
+    msgtype = ends[0].msgtype
+    if len(said_by) < 2 or not (msgtype in IMAGE_TYPES or any(_is_own(topic, msgtype, own) for own in OF_ONE)):
         return None
     return f"{topic}: {' and '.join(said_by)} publish it, and contradict each other; end all but one"
 
