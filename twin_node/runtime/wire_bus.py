@@ -109,7 +109,7 @@ class WireBus:
         return self._remaps.get(topic) or within(self._wire.namespace, topic)
 
     def renamed(self, topic: str) -> str:
-        """The same without the wire's namespace."""
+        """The name that it has within the namespace, and in recordings: its own, or that which it was given."""
         return self._remaps.get(topic, topic)
 
     def named(self, topic: str) -> str | None:

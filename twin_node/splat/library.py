@@ -273,6 +273,8 @@ def _runtime() -> ctypes.CDLL | None:
 
     Torch shows it to the whole process, but not on ARM: there it is that of the loaded ones which torch heeds.
     """
+    import torch  # noqa: F401  (before it is loaded there is none, and that would be kept)
+
     return _shown() or next((runtime for runtime in _loaded() if _is_torchs(runtime)), None)
 
 
