@@ -126,6 +126,17 @@ def test_lists_of_lists_are_dumped_as_they_were() -> None:
     assert as_file("/arm", told) == {"arm": {"ros__parameters": {"tool": [[0.0, 0.1], [1.0, 2.0]], "note": "[odd"}}}
 
 
+def test_a_node_of_ours_is_dumped_as_a_launch_names_it_whatever_its_namespace(tmp_path: Path) -> None:
+    """What was dumped of one in a namespace was refused as an unknown node's."""
+    told = {name: one.value for name, one in parameters_of(twin_parameters(ChainParameters())).items()}
+    path = tmp_path / "dumped.yaml"
+    path.write_text(yaml_text(as_file("/line/cell/twin", told)))
+    assert load_parameters(path) == ChainParameters()
+    path.write_text(path.read_text().replace("forecast:", "/line/cell/forecast:", 1))
+    with pytest.raises(GraphError, match=r"unknown node '/line/cell/forecast'; write 'forecast': a file has no namesp"):
+        load_parameters(path)
+
+
 def test_another_programs_node_is_dumped_as_ros_does() -> None:
     dumped = as_file("/line/planner", {"use_sim_time": True, "ompl.range": 0.1, "text": "[1]", "none": None})
     inside = {"use_sim_time": True, "ompl": {"range": 0.1}, "text": "[1]"}

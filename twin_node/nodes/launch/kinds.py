@@ -136,8 +136,11 @@ def nearest(name: str, known: set[str]) -> str:
 
 
 def _check_known(name: str, known: set[str], where: str) -> None:
-    if name not in known:
-        raise GraphError(f"{where}: unknown node '{name}'; {nearest(name, known)}")
+    if name in known:
+        return
+    own = name.rpartition("/")[2]
+    hint = f"write '{own}': a file has no namespaces" if own in known else nearest(name, known)
+    raise GraphError(f"{where}: unknown node '{name}'; {hint}")
 
 
 def _loaded(place: str) -> Any:

@@ -142,9 +142,12 @@ class Asking:
 def as_file(node: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """A node's parameters as a parameter file has them: nested, and of the twin by the sections that a launch has.
 
-    What is not set is left out, and so is a size's name where the model is told as that size has made it.
+    One of ours is named as a launch knows it, whatever namespace it is in. What is not set is left out, and so is a
+    size's name where the model is told as that size has made it.
     """
     name = node.strip("/")
+    own = name.rpartition("/")[2]
+    name = own if own in KINDS else name
     is_sized = values.get("size.name") in SIZES
     sections: dict[str, dict[str, Any]] = {}
     for full, value in values.items():
