@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 
 import pytest
 from launching import PATIENCE_S, Ear
 
+from twin_node.arm.ur import DriverReport, DriverState, UrParameters
 from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
 from twin_node.messages import convert, message_type
-from twin_node.nodes.topics import ACKNOWLEDGE, DIAGNOSTICS, JOINT_STATES, SEPARATION
-from twin_node.nodes.ur_driver import DRIVEN_ARM
+from twin_node.nodes.live.arm_driver import make_ur_driver
+from twin_node.nodes.live.asking import Asking
+from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.topics import ACKNOWLEDGE, JOINT_STATES, SEPARATION, kind_of
+from twin_node.nodes.ur_driver import DRIVER, UrDriverNode
+from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.clock import SystemClock
+from twin_node.runtime.executor import Executor
 from twin_node.runtime.neighbours import NodeNames
+from twin_node.runtime.node import Node
+from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_wire import ZenohWire
 from twin_node.scene import Separation
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
@@ -33,6 +46,8 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[ZenohParameters]:
     """A graph of the test's own, which commands find."""
     parameters = ZenohParameters(endpoint=free_endpoint(), domain=0)
     monkeypatch.setattr("twin_node.nodes.live.single.ZenohParameters", lambda: parameters)
+    asked = partial(ZenohParameters, endpoint=parameters.endpoint, domain=0)
+    monkeypatch.setattr("twin_node.runtime.zenoh_session.ZenohParameters", asked)
     router = open_router(parameters)
     assert router is not None
     yield parameters
@@ -79,59 +94,96 @@ def test_a_second_driver_of_a_graph_is_refused(graph: ZenohParameters, refused: 
     assert "node 'ur_driver' is alive already in ROS domain 0" in error
 
 
-class HaltedDriver(threading.Thread):
-    """Says once in a while that the arm is halted, until somebody acknowledges; `refuses`: and then why it still is."""
+class Halted:
+    """Stands for a driver of an arm that is halted until somebody acknowledges; `why`: and then why it still is."""
 
-    def __init__(self, endpoint: str, state: str, refuses: bool) -> None:
-        super().__init__()
-        self._endpoint, self._state, self._refuses = endpoint, state, refuses
+    def __init__(self, why: str | None = None) -> None:
+        self.latest = DriverReport(0, DriverState.HALTED, "no forecast")
         self.acknowledged = 0
-        self.ended = threading.Event()
+        self._why = why
+        self._on_report: Callable[[DriverReport], None] = lambda report: None
 
-    def run(self) -> None:
-        with Ear(self._endpoint) as ear:
-            ear.bus.subscribe(ACKNOWLEDGE, self._on_acknowledge)
-            while not self.ended.is_set():
-                refused = [convert.Reading("refused", "it still brakes")] * (self._refuses and self.acknowledged > 0)
-                readings = (convert.Reading("state", self._state), *refused)
-                found = convert.Diagnosis(DRIVEN_ARM, convert.Level.ERROR, "no forecast", readings)
-                ear.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(time.time_ns(), [found]))
-                ear.step(0.1)
+    def __call__(self, parameters: object, on_report: Callable[[DriverReport], None]) -> Halted:
+        """This one, in place of one that would connect to a controller."""
+        self._on_report = on_report
+        return self
 
-    def _on_acknowledge(self, _: object) -> None:
+    def acknowledge(self) -> None:
         self.acknowledged += 1
-        if not self._refuses:
-            self._state = "ready"
+        if self._why is None:
+            self.latest = replace(self.latest, state=DriverState.READY)
+        else:
+            for refusal in ("trajectory: refused while halted", self._why):
+                self._on_report(replace(self.latest, refusal=refusal))
+
+    def close(self) -> None:
+        pass
 
 
-@pytest.mark.parametrize(
-    ("state", "refuses", "status", "orders", "said"),
-    [
-        ("halted", False, 0, 1, "acknowledged what had halted: no forecast; now ready: no forecast"),
-        ("halted", True, 1, 1, "still halted: no forecast; it still brakes"),
-        ("ready", False, 0, 0, "no halt waits for somebody; ready: no forecast"),
-    ],
-)
+@contextlib.contextmanager
+def driven(graph: ZenohParameters, driver: Halted, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    """The node of a driver on the graph, as a launch makes it and has it run in a thread."""
+    monkeypatch.setattr("twin_node.nodes.ur_driver.SupervisedDriver", driver)
+    executor, wire = Executor(), ZenohWire(graph)
+    bus = WireBus(wire, executor, DRIVER, kind_of)
+    sections = {DRIVER: {"robot": "127.0.0.1"}}
+    node = make_ur_driver(Setup(DRIVER, bus, SystemClock(), executor, sections, "test", executor.stop, wire.endpoints))
+    node.configure()
+    node.activate()
+    running = threading.Thread(target=executor.spin)
+    running.start()
+    try:
+        yield node
+    finally:
+        executor.stop()
+        running.join()
+        bus.close()
+        wire.close()
+
+
+@pytest.mark.parametrize("namespace", ["/", "/line/cell"])
 def test_a_halt_of_a_launched_driver_is_acknowledged_by_a_command(
-    graph: ZenohParameters,
-    capsys: pytest.CaptureFixture[str],
-    state: str,
-    refuses: bool,
-    status: int,
-    orders: int,
-    said: str,
+    graph: ZenohParameters, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, namespace: str
 ) -> None:
     """Without ROS nothing on the graph could, and a launch had to be begun anew."""
-    driver = HaltedDriver(graph.endpoint, state, refuses)
-    driver.start()
-    try:
-        assert main(["acknowledge"]) == status
-    finally:
-        driver.ended.set()
-        driver.join()
-    captured = capsys.readouterr()
-    assert (captured.out + captured.err).strip() == said
-    assert driver.acknowledged == orders
+    driver = Halted()
+    with driven(replace(graph, namespace=namespace), driver, monkeypatch):
+        for said in ("acknowledged what had halted: no forecast; now ready", "no halt waits for somebody; ready"):
+            assert main(["acknowledge", "--namespace", namespace]) == 0
+            assert capsys.readouterr().out.splitlines()[-1] == f"{said}: no forecast"
+    assert driver.acknowledged == 1
+
+
+def test_why_a_halt_is_not_over_is_told_to_who_acknowledges_it(
+    graph: ZenohParameters, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not what is refused of a path meanwhile."""
+    with driven(graph, Halted("acknowledge: expected an arm that stands"), monkeypatch):
+        assert main(["acknowledge"]) == 1
+    assert capsys.readouterr().err == "still halted: no forecast; acknowledge: expected an arm that stands\n"
+
+
+def test_a_halt_that_goes_on_whatever_is_said_is_told_after_a_while(
+    graph: ZenohParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Halted("trajectory: refused while halted")
+    with driven(graph, driver, monkeypatch), Asking(graph) as asking:
+        assert asking.acknowledge() == (False, "still halted: no forecast; what halts it is not over")
+
+
+def test_who_waits_for_a_driver_that_is_deactivated_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[bool, str]] = []
+    monkeypatch.setattr("twin_node.nodes.ur_driver.SupervisedDriver", Halted("trajectory: refused"))
+    node = UrDriverNode(LocalBus(), SystemClock(), UrParameters(robot="127.0.0.1"))
+    node.configure()
+    node.acknowledge(lambda *answer: told.append(answer))
+    node.activate()
+    node.acknowledge(lambda *answer: told.append(answer))
+    node.deactivate()
+    assert told == [
+        (False, "the driver is not active"),
+        (False, "was halted: no forecast; the driver has been deactivated since"),
+    ]
 
 
 def test_who_acknowledges_where_no_arm_is_driven_is_told(graph: ZenohParameters, refused: Callable[..., str]) -> None:

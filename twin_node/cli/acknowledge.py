@@ -23,16 +23,11 @@ def add_acknowledge(commands: Any) -> None:
 
 
 def _acknowledge(options: argparse.Namespace) -> int:
-    from twin_node.nodes.live.acknowledging import acknowledge
-    from twin_node.nodes.live.single import open_wire
+    from twin_node.nodes.live.asking import Asking
+    from twin_node.runtime.names import ROOT
+    from twin_node.runtime.zenoh_session import ZenohParameters
 
-    with open_wire(namespace=options.namespace) as wire:
-        before, after = acknowledge(wire)
-    if not before.is_halted:
-        print(f"no halt waits for somebody; {before}")
-    elif not after.is_halted:
-        print(f"acknowledged what had {before}; now {after}")
-    else:
-        print(f"still {after}; {after.refused or 'what halts it is not over'}", file=sys.stderr)
-        return 1
-    return 0
+    with Asking(ZenohParameters(namespace=options.namespace or ROOT)) as graph:
+        went, words = graph.acknowledge()
+    print(words, file=sys.stdout if went else sys.stderr)
+    return 0 if went else 1

@@ -23,8 +23,10 @@ DEFINITIONS: Mapping[str, tuple[str, str]] = {
     "rcl_interfaces/srv/ListParameters": ("string[] prefixes\nuint64 depth", "ListParametersResult result"),
     "rcl_interfaces/srv/SetParameters": ("Parameter[] parameters", "SetParametersResult[] results"),
     "rcl_interfaces/srv/SetParametersAtomically": ("Parameter[] parameters", "SetParametersResult result"),
+    "std_srvs/srv/Trigger": ("", "bool success\nstring message"),
 }
-"""Fields of request and response of every service that is spoken: what every node of ROS 2 (Iron to Rolling) serves."""
+"""Fields of request and response of every service that is spoken: what every node of ROS 2 (Iron to Rolling) serves,
+and what asks for something to be done."""
 
 
 @dataclass(frozen=True)

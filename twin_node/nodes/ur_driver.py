@@ -6,8 +6,8 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, DriverReport, DriverState, Halt, SupervisedDriver, UrParameters
@@ -33,9 +33,13 @@ _MODEL = "model"
 _DIAGNOSTICS_NS = 1_000_000_000
 """Diagnostics go out at 1 Hz, as is customary, and at once when something changes; a refusal is told for as long."""
 
+_PATIENCE_NS = 3_000_000_000
+"""What still halts so long after an acknowledgement is not over, ns: the driver reports 50 times a second."""
 _REFUSALS_KEPT = 16
 """Orders refused that wait to be told, one with each `tick`: of more, the newest."""
 
+_OF_PATHS = "trajectory:"
+"""What refusals of a path begin with."""
 _LEVELS = {
     DriverState.CONNECTING: convert.Level.WARN,
     DriverState.READY: convert.Level.OK,
@@ -44,6 +48,21 @@ _LEVELS = {
 }
 _BEGINS_NS = 3_000_000_000
 """A controller that is begun with the driver, or anew, is there by then: its absence is told afterwards."""
+
+
+Told: TypeAlias = Callable[[bool, str], None]
+"""Is told whether the arm is halted no longer, and what the driver says of it."""
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Somebody who waits for what becomes of an acknowledgement."""
+
+    tell: Told
+    before: str
+    """What the driver said of the arm then."""
+    until: int
+    """By the monotonic clock, ns."""
 
 
 def driven_model(diagnostics: Message) -> str | None:
@@ -76,11 +95,21 @@ class UrDriverNode(Node):
     """
 
     def __init__(
-        self, bus: Bus, clock: Clock, parameters: UrParameters, say: Callable[[str], None] = lambda line: None
+        self,
+        bus: Bus,
+        clock: Clock,
+        parameters: UrParameters,
+        say: Callable[[str], None] = lambda line: None,
+        offer: Callable[[UrDriverNode], None] = lambda node: None,
     ) -> None:
-        """`say(line)` tells the user why the arm stands whatever is decided, and that it no longer does."""
+        """`say(line)` tells the user why the arm stands whatever is decided, and that it no longer does.
+
+        `offer(node)` is called when it is configured: it lets others ask for what is no topic, as `acknowledge`.
+        """
         super().__init__(DRIVER, bus, clock)
         self._say = say
+        self._offer = offer
+        self._asked: list[_Asked] = []
         self._said = ""
         """What was last said, without its numbers, which go on changing."""
         self._lost_since: int | None = None
@@ -106,6 +135,7 @@ class UrDriverNode(Node):
         self.bus.subscribe(ACKNOWLEDGE, self._on_acknowledge)
         if self._parameters.mode is DriverMode.SERVO:
             self.bus.subscribe(FOLLOW, self._on_follow)
+        self._offer(self)
 
     def on_activate(self) -> None:
         self._driver = SupervisedDriver(self._parameters, self._on_report)
@@ -114,12 +144,27 @@ class UrDriverNode(Node):
         if self._driver is not None:
             self._driver.close()
         self._driver = None
+        asked, self._asked = self._asked, []
+        for one in asked:
+            one.tell(False, f"was {one.before}; the driver has been deactivated since")
+
+    def acknowledge(self, tell: Told) -> None:
+        """Somebody has looked at a halted arm: it may go on; `tell` is called at once, or with a `tick`."""
+        report = self.report
+        if self._driver is None or report is None:
+            tell(False, "the driver is not active")
+        elif report.state is not DriverState.HALTED:
+            tell(True, f"no halt waits for somebody; {_in_words(report)}")
+        else:
+            self._driver.acknowledge()
+            self._asked.append(_Asked(tell, _in_words(report), time.monotonic_ns() + _PATIENCE_NS))
 
     def tick(self) -> None:
         """Publish what the driver has said since the last call; to be called every `TICK_S`, in the bus's thread."""
         now, passed = self.clock.now(), time.monotonic_ns()
-        if self._refusals:
-            self._refusal, self._refused = self._refusals.popleft(), passed
+        refusal = self._refusals.popleft() if self._refusals else None
+        if refusal is not None:
+            self._refusal, self._refused = refusal, passed
         elif passed - self._refused >= _DIAGNOSTICS_NS:
             self._refusal = None
         report = self.report
@@ -129,6 +174,7 @@ class UrDriverNode(Node):
             self._seen = report.stamp
             self._publish_arm(report, ahead_of_monotonic(self.clock))
         self._tell(report, passed)
+        self._answer(report, refusal, passed)
         if _is_news(report, self._told) or passed >= self._next:
             self._told, self._next = report, passed + _DIAGNOSTICS_NS
             self.bus.publish(DIAGNOSTICS, convert.diagnostics_to_message(now, [self._diagnosis(report)]))
@@ -146,13 +192,27 @@ class UrDriverNode(Node):
         elif self._lost_since is None or passed - self._lost_since > _BEGINS_NS:
             waits = report.halt is not None and self._waits(report.halt)
             wanted = "; it waits for 'twin_node acknowledge'" if waits else ""
-            line = f"{report.state.value}: {report.reason}{wanted}"
+            line = f"{_in_words(report)}{wanted}"
             words = without_numbers(line)
         else:
             return
         if words != self._said:
             self._said = words
             self._say(line)
+
+    def _answer(self, report: DriverReport, refusal: str | None, passed: int) -> None:
+        """Tells who has acknowledged a halt what has become of it by now, a time of the monotonic clock, ns.
+
+        `refusal`: of an order of late, if any.
+        """
+        waiting, self._asked = self._asked, []
+        for asked in waiting:
+            if report.state is not DriverState.HALTED:
+                asked.tell(True, f"acknowledged what had {asked.before}; now {_in_words(report)}")
+            elif (refusal is not None and not refusal.startswith(_OF_PATHS)) or passed >= asked.until:
+                asked.tell(False, f"still {_in_words(report)}; {refusal or 'what halts it is not over'}")
+            else:
+                self._asked.append(asked)
 
     def _waits(self, halt: Halt) -> bool:
         """Whether a halt lasts until somebody acknowledges it."""
@@ -214,6 +274,10 @@ class UrDriverNode(Node):
     def _on_acknowledge(self, _: Any) -> None:
         if self._driver is not None:
             self._driver.acknowledge()
+
+
+def _in_words(report: DriverReport) -> str:
+    return f"{report.state.value}: {report.reason}"
 
 
 def _is_news(report: DriverReport, told: DriverReport | None) -> bool:

@@ -7,11 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from twin_node.errors import TwinError
+from twin_node.messages import Message
+from twin_node.messages.services import ServiceType
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Executor, Inbox
 from twin_node.runtime.names import within, without
 from twin_node.runtime.qos import KindOf, TopicKind
+from twin_node.runtime.services import Answer, Reply
 from twin_node.runtime.wire import Cancel, Encoded, Send, Sink, Wire, encoded
+
+REQUESTS_KEPT = 16
+"""Requests of a service that wait for the node; of more the oldest get no answer."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +171,15 @@ class WireBus:
 
         self._subscribe(topic, call, raw=False, to=timed)
 
+    def serve(self, name: str, service: ServiceType, answer: Answer) -> None:
+        """Call `answer(request, reply)` in the executor's thread for every request of the service `name`."""
+        inbox = self._executor.inbox(lambda asked: answer(*asked), REQUESTS_KEPT)
+
+        def put_aside(request: Message, reply: Reply) -> None:
+            inbox.offer((request, reply))
+
+        self._cancels.append(self._wire.serve(self._node, name, service, put_aside))
+
     def dropped(self, topic: str) -> int:
         """Messages on `topic` that newer ones replaced before a callback of this bus had time for them."""
         return sum(inbox.dropped for subscription, inbox in self._subscriptions if subscription.topic == topic)
@@ -182,7 +197,7 @@ class WireBus:
         )
 
     def close(self) -> None:
-        """Ends all subscriptions; what waits in inboxes will be forgotten. Again it does nothing."""
+        """Ends all subscriptions and services; what waits in inboxes will be forgotten. Again it does nothing."""
         while self._cancels:
             self._cancels.pop()()
         for subscription, _ in self._subscriptions:

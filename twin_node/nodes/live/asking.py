@@ -13,7 +13,8 @@ from twin_node.messages import Message, message_type
 from twin_node.messages.services import service_type
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS, nearest
 from twin_node.nodes.sizes import SIZES
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import ACKNOWLEDGE, TRIGGER, GraphError
+from twin_node.runtime.names import within
 from twin_node.runtime.parameter_values import SEPARATOR, USE_SIM_TIME, ParameterType, value_of
 from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.runtime.services import PATIENCE_S, ServiceClient
@@ -43,6 +44,7 @@ class Asking:
     def __init__(self, parameters: ZenohParameters | None = None) -> None:
         """Raises `GraphError` where there is none, `WireError` where zenoh is not installed."""
         parameters = parameters or ZenohParameters()
+        self._namespace = parameters.namespace
         try:
             self._client = ServiceClient(parameters)
         except NoRouterError:
@@ -56,6 +58,18 @@ class Asking:
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
+
+    def acknowledge(self) -> tuple[bool, str]:
+        """Tells the driver of the namespace's arm that somebody has seen to its halt: whether the arm is halted no
+        longer, and what the driver says of it. Raises `GraphError` where none answers."""
+        name = within(self._namespace, ACKNOWLEDGE)
+        answer = self._client.ask(name, service_type(TRIGGER))
+        if answer is None:
+            raise GraphError(
+                f"{name}: expected the driver of an arm on the graph of this machine to serve it, found none that "
+                "answers; 'twin_node doctor' says who is there (another ROS_DOMAIN_ID or --namespace?)"
+            )
+        return bool(answer.success), str(answer.message)
 
     def nodes(self) -> tuple[str, ...]:
         """Full names of the nodes that are alive: `/twin`. Raises `GraphError` where there are none."""
