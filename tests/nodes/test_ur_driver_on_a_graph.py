@@ -22,7 +22,7 @@ from twin_node.messages import convert, message_type
 from twin_node.nodes.live.arm_driver import make_ur_driver
 from twin_node.nodes.live.asking import Asking
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import ACKNOWLEDGE, JOINT_STATES, SEPARATION, kind_of
+from twin_node.nodes.topics import ACKNOWLEDGE, JOINT_STATES, SEPARATION, GraphError, kind_of
 from twin_node.nodes.ur_driver import DRIVER, UrDriverNode
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SystemClock
@@ -86,6 +86,34 @@ def test_the_command_obeys_the_graph_and_tells_it_of_the_arm(graph: ZenohParamet
         twin.join()
         assert twin.joints
         assert stand_in.status().speed_slider == 0.0  # it has ended
+
+
+class Asker(threading.Thread):
+    """Asks the driver of a command, and then ends it."""
+
+    def __init__(self, graph: ZenohParameters) -> None:
+        super().__init__()
+        self._graph = graph
+        self.answers: list[object] = []
+
+    def run(self) -> None:
+        until = time.monotonic() + PATIENCE_S
+        with Asking(self._graph) as asking:
+            while not self.answers and time.monotonic() < until:
+                with contextlib.suppress(GraphError):  # it is not there yet
+                    self.answers += [asking.values(f"/{DRIVER}", ["mode"]), asking.state(f"/{DRIVER}")]
+            self.answers += [asking.acknowledge()[1], asking.change(f"/{DRIVER}", "shutdown")]
+
+
+def test_the_command_answers_what_others_ask_and_can_be_shut_down(graph: ZenohParameters) -> None:
+    """Its node had no services: nobody could read its parameters, or end it."""
+    asker = Asker(graph)
+    asker.start()
+    assert main(["ur-driver", "--robot", free_loopback(), "--mode", "servo"]) == 0
+    asker.join()
+    values, state, words, ended = asker.answers
+    assert (values, state, ended) == ({"mode": "servo"}, "active", "finalized")
+    assert "no halt waits for somebody" in str(words)
 
 
 def test_a_second_driver_of_a_graph_is_refused(graph: ZenohParameters, refused: Callable[..., str]) -> None:

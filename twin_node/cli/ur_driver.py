@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 from twin_node.cli.arguments import add_namespace, positive, whole
 
 if TYPE_CHECKING:
+    from twin_node.arm.ur import UrParameters
     from twin_node.nodes.driver_log import DriverLog
+    from twin_node.nodes.ur_driver import UrDriverNode
     from twin_node.runtime.bus import Bus
     from twin_node.runtime.clock import Clock
 
@@ -115,7 +117,7 @@ def _run(options: argparse.Namespace) -> None:
             recorder = RecorderNode(pace.recorder_bus, pace.clock, log, topics, is_live=True)
             recorder.configure()
             recorder.activate()
-        node = UrDriverNode(pace.bus, pace.clock, parameters)
+        node = UrDriverNode(pace.bus, pace.clock, parameters, offer=partial(pace.offer, parameters))
         node.configure()
         node.activate()
         stack.callback(node.deactivate)
@@ -178,6 +180,10 @@ class _Pace(ABC):
         self._is_ended = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
+    @abstractmethod
+    def offer(self, parameters: UrParameters, node: UrDriverNode) -> None:
+        """Let others ask the node, whose `parameters` these are."""
+
     def step(self, is_ready: bool) -> bool:
         """Wait for the next moment; `is_ready`: whether the arm is. False when time is up."""
         self._wait(is_ready)
@@ -201,10 +207,22 @@ class _GraphPace(_Pace):
 
         super().__init__()
         wire = stack.enter_context(open_wire(sole=DRIVER, namespace=namespace))
-        self._executor, self.clock = Executor(), SystemClock()
-        self.bus = WireBus(wire, self._executor, DRIVER, kind_of)
+        self._wire, self._executor, self.clock = wire, Executor(), SystemClock()
+        self.bus = self._bus = WireBus(wire, self._executor, DRIVER, kind_of)
         # Under another name: by what the driver's node listens to, others know how it drives.
         self.recorder_bus = WireBus(wire, self._executor, f"{DRIVER}_recorder", kind_of)
+
+    def offer(self, parameters: UrParameters, node: UrDriverNode) -> None:
+        from twin_node.nodes.live.arm_driver import serve_acknowledgement
+        from twin_node.nodes.live.single import serve
+        from twin_node.runtime.parameter_values import named_parameters
+
+        serve_acknowledgement(self._bus, node)
+        serve(self._wire, node, named_parameters({"": parameters}, follows_clock=False), self._finish)
+
+    def _finish(self) -> None:
+        """Let time be up, from any thread."""
+        self._is_ended = True
 
     def _wait(self, is_ready: bool) -> None:
         until = time.monotonic() + self._tick_s
@@ -225,6 +243,9 @@ class _LogPace(_Pace):
         self._is_started = False
         self.clock = self._paced = PacedClock(start_ns, 1.0)
         self._steps = player.steps(self.clock, self._tick_s)
+
+    def offer(self, parameters: UrParameters, node: UrDriverNode) -> None:
+        """Without a graph nobody asks."""
 
     def _wait(self, is_ready: bool) -> None:
         if not self._is_started and is_ready:

@@ -76,6 +76,14 @@ class Parameter:
         return _value_message(self.kind, self.value)
 
 
+def named_parameters(of_sections: Mapping[str, Any], follows_clock: bool) -> dict[str, Parameter]:
+    """All of a node by name: the dataclasses of its sections, its own by no name, and `use_sim_time`."""
+    found = {USE_SIM_TIME: Parameter(ParameterType.BOOL, follows_clock, lambda: "Whether its time is /clock's.")}
+    for section, values in of_sections.items():
+        found.update(parameters_of(values, section))
+    return found
+
+
 def parameters_of(values: Any, prefix: str = "") -> dict[str, Parameter]:
     """The fields of a dataclass, by name; those of dataclasses and mappings in it by names such as `limiter.ramp_s`.
 

@@ -12,7 +12,7 @@ from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
 from twin_node.runtime.names import ROOT
-from twin_node.runtime.parameter_values import USE_SIM_TIME, Parameter, ParameterType, parameters_of
+from twin_node.runtime.parameter_values import Parameter, named_parameters
 from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
@@ -67,10 +67,7 @@ class Setup:
 
     def read(self, follows_clock: bool) -> dict[str, Parameter]:
         """By name, the parameters that the node has read so far, and `use_sim_time`: what others are told of it."""
-        found = {USE_SIM_TIME: Parameter(ParameterType.BOOL, follows_clock, lambda: "Whether its time is /clock's.")}
-        for section, values in self.taken.items():
-            found.update(parameters_of(values, section))
-        return found
+        return named_parameters(self.taken, follows_clock)
 
     def rig(self) -> RigParameters:
         """Where the rig is, as `/**` says in `rig`: all nodes of a graph work with the same.

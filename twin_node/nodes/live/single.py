@@ -19,6 +19,7 @@ from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecy
 from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameter_services import serve_parameters
+from twin_node.runtime.parameter_values import Parameter
 from twin_node.runtime.parameters import Sections
 from twin_node.runtime.wire import Encoded
 from twin_node.runtime.wire_bus import WireBus
@@ -97,6 +98,12 @@ def _claimed(parameters: ZenohParameters, node: str) -> NodeNames:
     )
 
 
+def serve(wire: ZenohWire, node: Node, parameters: Mapping[str, Parameter], end: Callable[[], None]) -> None:
+    """Lets others ask about a command's own node, and end it: `end()` is called in a thread of the wire's."""
+    serve_parameters(wire, node.name, parameters)
+    serve_lifecycle(wire, node.name, _Led(node, end))
+
+
 def run_single(
     kind: str,
     parameters: Mapping[str, Any],
@@ -123,8 +130,7 @@ def run_single(
         node: Node = find_factory(kind)(setup)
         node.configure()
         node.activate()
-        serve_parameters(wire, kind, setup.read(follows_clock))
-        serve_lifecycle(wire, kind, _Led(node, executor.stop))
+        serve(wire, node, setup.read(follows_clock), executor.stop)
         try:
             if when_active is not None:
                 when_active(node)
