@@ -52,7 +52,13 @@ def test_an_image_that_is_waited_for_is_named_with_the_remap_that_brings_it() ->
         "/front/image_raw:=/front_camera/image_raw?"
     ]
     assert graph_faults(ends[:1]) == [
-        f"/front/image_raw: synchronizer waits for it, nobody publishes it; start who publishes {RAW}"
+        f"/front/image_raw: synchronizer waits for it, nobody publishes it; start who publishes {RAW} "
+        "(a ROS 2 node: on rmw_zenoh_cpp)"
+    ]
+    others = [subscriber(node, SEPARATION, "twin_msgs/msg/SeparationState") for node in ("arm", "viewer")]
+    assert graph_faults(others) == [
+        f"{SEPARATION}: arm and viewer wait for it, nobody publishes it; start who publishes "
+        "twin_msgs/msg/SeparationState"
     ]
 
 

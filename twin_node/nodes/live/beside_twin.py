@@ -7,11 +7,13 @@ from dataclasses import replace
 from functools import partial
 
 from twin_node.arm.ur import DriverMode, UrParameters
+from twin_node.messages import Message
 from twin_node.nodes.arm import Driving, make_arm_node
 from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.nodes.live.depth_lenses import DepthLenses
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.live.silent_cameras import LOOK_S, SilentCameras
 from twin_node.nodes.synchronizer import SynchronizerNode, SynchronizerParameters
 from twin_node.nodes.topics import FOLLOW, SEPARATION, GraphError, kind_of_own
 from twin_node.nodes.ur_driver import DRIVER, is_other_arm
@@ -32,7 +34,7 @@ def make_synchronizer(setup: Setup) -> Node:
 
 
 class LiveSynchronizerNode(SynchronizerNode):
-    """Hears what depth was seen by, too, where the rig does not say."""
+    """Hears what depth was seen by, too, where the rig does not say, and tells of cameras that send nothing."""
 
     def __init__(
         self, setup: Setup, source: RigSource, parameters: SynchronizerParameters, joint_names: Collection[str]
@@ -43,10 +45,19 @@ class LiveSynchronizerNode(SynchronizerNode):
         told = {camera.name for camera in source.rig.cameras if camera.depth_lens is not None}
         untold = [camera for camera in source.cameras if camera.name not in told]
         self._lenses = DepthLenses(setup.bus, untold, self.see_depth_by, setup.say, setup.endpoints)
+        self._timers = setup.timers
+        self._silent = SilentCameras(source.cameras, setup.bus.resolved, setup.endpoints, setup.say)
 
     def on_configure(self) -> None:
         super().on_configure()
         self._lenses.listen()
+
+    def on_activate(self) -> None:
+        self._timers.every(LOOK_S, self._silent.look)
+
+    def _on_colour(self, name: str, message: Message) -> None:
+        self._silent.hear(name)
+        super()._on_colour(name, message)
 
     def _add(self, name: str, view: EncodedView) -> None:
         if not self._lenses.is_awaited(name, self.clock.now()):

@@ -36,6 +36,8 @@ from twin_node.runtime.wire_bus import WireBus
 
 OF_ONE = (CLOCK, TRAJECTORY, *(topic for topic in RECORDED if topic != DIAGNOSTICS))
 """Topics of which a graph has one publisher: of two, who listens would follow now one and now the other."""
+OWN_PACKAGE = "twin_msgs/"
+"""What the types of the twin's own nodes begin with."""
 CLOCK_TOLERANCE_NS = 20_000_000
 """Stamps that lie so far ahead of their arrival were made by another clock."""
 PLAYERS = ("player", "rosbag2_player")
@@ -231,7 +233,7 @@ def _publishers(ends: Sequence[Endpoint]) -> list[str]:
 
 def _is_needed(msgtype: str) -> bool:
     """Whether who listens cannot do without: images, and what the twin's own nodes say; joints and paths are extras."""
-    return msgtype in IMAGE_TYPES or msgtype.startswith("twin_msgs/")
+    return msgtype in IMAGE_TYPES or msgtype.startswith(OWN_PACKAGE)
 
 
 def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> str:
@@ -244,8 +246,11 @@ def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> s
     ]
     near = difflib.get_close_matches(topic, spare, n=1, cutoff=0.0)
     own = without(waiting[0].node.namespace, topic) or topic
-    advice = f"launch with --remap {own}:={near[0]}?" if near else f"start who publishes {msgtype}"
-    return f"{topic}: {' and '.join(sorted(set(map(_node, waiting))))} waits for it, nobody publishes it; {advice}"
+    on_zenoh = "" if msgtype.startswith(OWN_PACKAGE) else " (a ROS 2 node: on rmw_zenoh_cpp)"
+    advice = f"launch with --remap {own}:={near[0]}?" if near else f"start who publishes {msgtype}{on_zenoh}"
+    names = sorted(set(map(_node, waiting)))
+    wait = "waits" if len(names) == 1 else "wait"
+    return f"{topic}: {' and '.join(names)} {wait} for it, nobody publishes it; {advice}"
 
 
 def _clock_faults(publisher: Endpoint, delays: Sequence[int], has_clock: bool) -> list[str]:

@@ -11,8 +11,11 @@ from twin_node.nodes.launch.kinds import CHAIN_SECTIONS, KINDS
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.model import Following
-from twin_node.nodes.topics import FORECAST, FRAMES, SEEN, TRUSTED_FRAMES
+from twin_node.nodes.topics import DIAGNOSTICS, FORECAST, FRAMES, RECORDED, SEEN, SEPARATION, TRUSTED_FRAMES
 from twin_node.runtime.node import Node
+
+TOLD = tuple(topic for topic in RECORDED if topic not in (SEPARATION, DIAGNOSTICS))
+"""What a twin says once it has seen a set; others find it, and know its type, from the beginning."""
 
 
 def make_twin(setup: Setup) -> Node:
@@ -41,6 +44,8 @@ class TwinNode(Node):
     def on_configure(self) -> None:
         for line in self._doubts:
             self._say(line)
+        for topic in TOLD:
+            self._bus.advertise(topic)
         self._chain.configure()
         self.bus.subscribe(FORECAST, self._on_forecast)
 

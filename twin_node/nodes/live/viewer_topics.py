@@ -52,6 +52,8 @@ class ViewerTopicsNode(Node):
 
     def on_configure(self) -> None:
         self._endpoints()  # it is told of others from the first call on
+        for topic in (OBSTACLE_MARKERS, OCCUPIED_POINTS, SEPARATION_MARKER):
+            self._bus.advertise(topic)
         self.bus.subscribe(OBSTACLES, self._on_obstacles)
         self.bus.subscribe(SEPARATION, self._on_separation)
         self.bus.subscribe(JOINT_STATES, self._on_joints)
