@@ -40,8 +40,11 @@ _CUBE, _SPHERE, _LINE_LIST, _TEXT, _DELETE_ALL = 1, 2, 5, 9, 3
 
 
 def obstacles_to_markers(obstacles: Obstacles) -> Message:
-    """`visualization_msgs/msg/MarkerArray` of obstacles; what the last one showed is taken away first."""
-    wipe = _marker(obstacles.stamp, BASE_FRAME, "obstacles", 0, 0, (0.0, 0.0, 0.0, 0.0))
+    """`visualization_msgs/msg/MarkerArray` of obstacles; what the last one showed is taken away first.
+
+    Their namespaces are their kinds: who takes away all of every one names none.
+    """
+    wipe = _marker(obstacles.stamp, BASE_FRAME, "", 0, 0, (0.0, 0.0, 0.0, 0.0))
     wipe.action = _DELETE_ALL
     markers = [wipe]
     templates = {}
