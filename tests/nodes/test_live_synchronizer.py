@@ -153,6 +153,15 @@ def test_a_dead_camera_costs_one_deadline_and_is_named(cell: Cell) -> None:
     assert (waits > 0).all()
 
 
+def test_a_twin_that_sees_nothing_is_not_said_to_go_on(cell: Cell) -> None:
+    said = cell.said()
+    assert set(said) == set(NAMES)
+    for level, message in said.values():
+        assert level is Level.ERROR and message.endswith("nor of any other camera: the twin waits")
+    cell.run(SECOND, SECOND, front=Fault(keeps=lambda i: False))
+    assert others_are_well(cell, "front")[1].endswith("the twin goes on without it")
+
+
 def test_the_last_images_before_silence_leave_by_the_timer(cell: Cell) -> None:
     """When all cameras but one fall silent at once no image comes to look at the deadline: only the timer does."""
     cell.run(SECOND, 1, front=Fault(keeps=lambda i: False))

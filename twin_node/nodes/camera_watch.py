@@ -118,7 +118,8 @@ class CameraWatch:
         before = self._before.get(totals.name, InputCounts(totals.name))
         faults = []
         if self._is_silent(totals.name, count):
-            faults.append("silent: no image since the last report; the twin goes on without it")
+            rest = "the twin goes on without it" if most else "nor of any other camera: the twin waits"
+            faults.append(f"silent: no image since the last report; {rest}")
         elif count + ON_THE_EDGE < SLOW_SHARE * most:
             faults.append(f"slow: {count} images where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
