@@ -65,7 +65,8 @@ class Controller:
         sections = {"arm": {"slide_s": 0.2}}
         there = (subscriber("controller", TOPIC),) if listens else ()
         given: tuple[Any, ...] = (bus, clock, timers, sections, "test", lambda: None, lambda: there)
-        setup = Setup("speed_scaling", *given, kept=kept)
+        self.said: list[str] = []
+        setup = Setup("speed_scaling", *given, self.said.append, kept=kept)
         self.node = make_speed_scaling(setup)
         self.node.configure()
         self.node.activate()
@@ -84,6 +85,13 @@ class Controller:
     def _hear(self) -> None:
         while self._executor.step(0.0):
             pass
+
+    def move(self, seconds: float, joints_rad_s: float, decided: float) -> None:
+        """A share is decided, while joints say that they are so fast."""
+        for _ in range(round(seconds / 0.1)):
+            self.run(0.1, decided)
+            self.say_joints(dict.fromkeys(JOINTS, 0.0) | {JOINTS[1]: -joints_rad_s})
+            self.say_joints({"left_finger": 0.3})
 
     def wait(self, seconds: float) -> None:
         self.passed += seconds
@@ -269,6 +277,30 @@ def test_the_arm_stands_when_the_node_has_ended(monkeypatch: pytest.MonkeyPatch)
     assert controller.passed - begun == pytest.approx(0.2, abs=2 * PERIOD_S)
     assert controller.told[before:] == sorted(controller.told[before:], reverse=True)
     assert controller.run(1.0, 1.0) == [], "it has ended"
+
+
+def test_an_arm_that_moves_though_it_is_told_to_stand_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One whose controller commands velocities goes on at them, whatever share it is told."""
+    controller = Controller(monkeypatch)
+    controller.move(1.0, 0.8, 1.0)
+    controller.move(1.2, 0.4, 0.0)
+    assert controller.said == [], "it may still be braking"
+    controller.move(3.0, 0.4, 0.0)
+    (line,) = controller.said
+    assert line.startswith("the arm moves, by 0.40 rad/s, though its controller has been told to stand")
+    (one,) = controller.node.diagnoses()
+    assert (one.level, one.message) == (convert.Level.ERROR, line)
+    controller.move(1.0, 0.01, 0.0)
+    assert controller.node.diagnoses()[0].level is convert.Level.OK
+    controller.move(1.0, 0.4, 1.0)
+    assert controller.node.diagnoses()[0].level is convert.Level.OK, "it may move"
+    assert controller.said == [line]
+
+
+def test_a_gripper_that_moves_beside_an_arm_that_stands_is_none_that_disobeys(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(monkeypatch)
+    controller.move(5.0, 0.01, 0.0)
+    assert controller.said == []
 
 
 def test_a_controller_that_is_not_there_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:

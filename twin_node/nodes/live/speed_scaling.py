@@ -18,6 +18,7 @@ from pathlib import Path
 from twin_node.arm import LimiterParameters, SpeedLimiter, standing
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert, message_type
+from twin_node.nodes.live.obedience import Obedience
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import JOINT_STATES, SEPARATION, SPEED_SCALING_INPUT, is_topic_name, kind_of_own
 from twin_node.ranges import Range, check_ranges
@@ -94,6 +95,9 @@ class SpeedScalingNode(Node):
         self._slide_s = slide_s
         self._joint_names = frozenset(joint_names)
         self._limiter = SpeedLimiter(parameters.limiter)
+        self._obedience, self._say = Obedience(joint_names), setup.say
+        self._disobeys = False
+        """Whether the user has been told that the arm does not obey."""
         self._kept = None if setup.kept is None else KeptShare(setup.kept / KEPT)
         self._share: float | None = None
         """None as long as nobody knows whether the arm moves."""
@@ -124,8 +128,10 @@ class SpeedScalingNode(Node):
             self._tell_towards(0.0)
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
-        """How fast the arm may be and why, and whether any controller hears of it."""
+        """How fast the arm may be and why, whether any controller hears of it, and whether the arm obeys."""
         readings = () if self._share is None else (convert.Reading("share", f"{self._share:.2f}"),)
+        if (fault := self._obedience.fault(time.monotonic())) is not None:
+            return (convert.Diagnosis(f"{self.name}: arm", convert.Level.ERROR, fault, readings),)
         topic = self._bus.resolved(self._topic)
         if any(end.topic == topic and end.kind is EntityKind.SUBSCRIBER for end in self._endpoints()):
             return (convert.Diagnosis(f"{self.name}: arm", convert.Level.OK, self._reason, readings),)
@@ -150,9 +156,12 @@ class SpeedScalingNode(Node):
 
         Its joints may be told of in several messages.
         """
+        told = zip(message.name, message.velocity, strict=False)
+        speeds = {name: abs(v) for name, v in told if name in self._joint_names and not math.isnan(v)}
         if self._share is None:
-            told = zip(message.name, message.velocity, strict=False)
-            self._speeds |= {name: abs(v) for name, v in told if name in self._joint_names and not math.isnan(v)}
+            self._speeds |= speeds
+        else:
+            self._obedience.hear(speeds, time.monotonic())
 
     def _tick(self) -> None:
         if self.state is not LifecycleState.ACTIVE or not self._has_begun():
@@ -160,6 +169,10 @@ class SpeedScalingNode(Node):
         told = self._limiter.tick(self.clock.now())
         self._reason = told.reason
         self._tell_towards(told.speed_fraction)
+        fault, was_told = self._obedience.fault(time.monotonic()), self._disobeys
+        self._disobeys = fault is not None
+        if fault is not None and not was_told:
+            self._say(fault)
 
     def _has_begun(self) -> bool:
         """Whether it is known by now what share the arm has, which its speed rises or falls from."""
@@ -185,6 +198,7 @@ class SpeedScalingNode(Node):
         slowest = self._share - elapsed_s / self._slide_s if self._slide_s > 0.0 else 0.0
         self._share = max(wanted, slowest, 0.0)
         self._share = 0.0 if self._share < STANDS else self._share
+        self._obedience.tell(self._share, now)
         if self._kept is not None:
             self._kept.write(self._share)
         if self._told is not None and self._told[0] == self._share == 1.0 and now - self._told[1] < REPEAT_S:
