@@ -69,6 +69,19 @@ def test_ends_that_cannot_hear_each_other_are_told_what_to_set() -> None:
     assert "their types differ" in graph_faults([other, subscriber("synchronizer", "/a/image_raw")])[0]
 
 
+def test_a_service_that_has_a_topic_s_name_is_not_another_end_of_it() -> None:
+    """As `/arm/acknowledge` of our own driver."""
+    trigger = "std_srvs/srv/Trigger"
+    topic = subscriber("ur_driver", "/arm/acknowledge", "std_msgs/msg/Empty")
+    service = end(EntityKind.SERVICE, "ur_driver", "/arm/acknowledge", trigger, "RIHS01_bb")
+    assert graph_faults([topic, service]) == []
+    client = end(EntityKind.CLIENT, "panel", "/arm/acknowledge", trigger, "RIHS01_cc")
+    assert graph_faults([topic, service, client]) == [
+        f"/arm/acknowledge: their types differ, so they do not hear each other (panel: {trigger} RIHS01_cc; "
+        f"ur_driver: {trigger} RIHS01_bb); build them from the same definitions"
+    ]
+
+
 @pytest.mark.parametrize(
     ("topic", "msgtype", "is_fault"),
     [

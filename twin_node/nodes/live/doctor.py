@@ -151,8 +151,8 @@ def _spin(executor: Executor, wire: Wire, seconds: float) -> None:
 def graph_faults(endpoints: Sequence[Endpoint]) -> list[str]:
     """Topics whose ends cannot hear each other, that somebody waits for in vain, or that two say who must agree."""
     faults: list[str | None] = []
-    for topic in sorted({endpoint.topic for endpoint in endpoints}):
-        ends = [endpoint for endpoint in endpoints if endpoint.topic == topic]
+    for topic, is_service in sorted({(endpoint.topic, _is_of_service(endpoint)) for endpoint in endpoints}):
+        ends = [end for end in endpoints if end.topic == topic and _is_of_service(end) is is_service]
         faults += [_type_fault(topic, ends) or _silence_fault(topic, ends, endpoints), _rivalry_fault(topic, ends)]
     return [fault for fault in faults if fault is not None]
 
@@ -175,6 +175,11 @@ def _silent(ear: _Ear, endpoints: Sequence[Endpoint]) -> list[str]:
         for node, topics in sorted(said.items())
         if not regular.isdisjoint(topics) and not ear.has_heard(node, topics)
     ]
+
+
+def _is_of_service(end: Endpoint) -> bool:
+    """Whether this is an end of a service, which may have a topic's name."""
+    return end.kind in (EntityKind.SERVICE, EntityKind.CLIENT)
 
 
 def _is_own(topic: str, msgtype: str, own: str) -> bool:
