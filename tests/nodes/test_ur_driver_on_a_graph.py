@@ -101,7 +101,8 @@ class Asker(threading.Thread):
         with Asking(self._graph) as asking:
             while not self.answers and time.monotonic() < until:
                 with contextlib.suppress(GraphError):  # it is not there yet
-                    self.answers += [asking.values(f"/{DRIVER}", ["mode"]), asking.state(f"/{DRIVER}")]
+                    values, state = asking.values(f"/{DRIVER}", ["mode"]), asking.state(f"/{DRIVER}")
+                    self.answers += [values, state, asking.transitions(f"/{DRIVER}")]
             self.answers += [asking.acknowledge()[1], asking.change(f"/{DRIVER}", "shutdown")]
 
 
@@ -111,8 +112,9 @@ def test_the_command_answers_what_others_ask_and_can_be_shut_down(graph: ZenohPa
     asker.start()
     assert main(["ur-driver", "--robot", free_loopback(), "--mode", "servo"]) == 0
     asker.join()
-    values, state, words, ended = asker.answers
+    values, state, possible, words, ended = asker.answers
     assert (values, state, ended) == ({"mode": "servo"}, "active", "finalized")
+    assert possible == {"shutdown": 7}, "and nothing else, which it could not do"
     assert "no halt waits for somebody" in str(words)
 
 

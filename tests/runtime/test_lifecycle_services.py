@@ -134,5 +134,18 @@ def test_what_cannot_be_asked_is_refused_at_once() -> None:
     assert not led.asked
 
 
+def test_a_node_that_can_only_be_shut_down_offers_no_more() -> None:
+    """A command's own: it was told to deactivate, which `list` said is possible, and could not."""
+    wire, led = Heard(), Led(ACTIVE)
+    serve_lifecycle(wire, "player", led, [Transition.ACTIVE_SHUTDOWN])
+    for question in ("get_available_transitions", "get_transition_graph"):
+        told = wire.ask(question, "GetAvailableTransitions").available_transitions
+        assert [one.transition.label for one in told] == ["shutdown"]
+    assert wire.ask("change_state", "ChangeState", transition=transition(4, "deactivate")).success is False
+    assert not led.asked
+    assert wire.ask("change_state", "ChangeState", transition=transition(0, "shutdown")) is None, "it has not yet"
+    assert led.asked == [Transition.ACTIVE_SHUTDOWN]
+
+
 def test_nothing_is_possible_at_the_end() -> None:
     assert possible(LifecycleState.FINALIZED) == []

@@ -5,7 +5,7 @@ Source: design.ros2.org/articles/node_lifecycle, and the names and numbers of li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -77,8 +77,13 @@ class Living(Protocol):
         """Has the node go through a transition, and calls `done(whether it did)` then; from any thread."""
 
 
-def serve_lifecycle(wire: Wire, node: str, living: Living) -> None:
-    """Answers as node `node` what others ask about its life, and leads it as they tell, as long as the wire is open."""
+def serve_lifecycle(
+    wire: Wire, node: str, living: Living, allowed: Collection[Transition] = frozenset(Transition)
+) -> None:
+    """Answers as node `node` what others ask about its life, and leads it as they tell, as long as the wire is open.
+
+    `allowed`: the transitions that it can be led through.
+    """
 
     def serve(name: str, kind: str, answer: Callable[[ServiceType, Message], Message]) -> None:
         service = service_type(f"lifecycle_msgs/srv/{kind}")
@@ -89,18 +94,18 @@ def serve_lifecycle(wire: Wire, node: str, living: Living) -> None:
     serve(
         "get_available_transitions",
         "GetAvailableTransitions",
-        lambda to, _: to.answer(available_transitions=_transitions(possible(living.lifecycle))),
+        lambda to, _: to.answer(available_transitions=_transitions(possible(living.lifecycle, allowed))),
     )
     serve(
         "get_transition_graph",
         "GetAvailableTransitions",
-        lambda to, _: to.answer(available_transitions=_transitions(Transition)),
+        lambda to, _: to.answer(available_transitions=_transitions(t for t in Transition if t in allowed)),
     )
     changing = service_type("lifecycle_msgs/srv/ChangeState")
 
     def change(request: Message, reply: Reply) -> None:
         wanted = asked(request.transition.id, request.transition.label, living.lifecycle)
-        if wanted is None:
+        if wanted is None or wanted not in allowed:
             reply(changing.answer(success=False))
         else:
             living.change(wanted, lambda success: reply(changing.answer(success=success)))
@@ -108,9 +113,9 @@ def serve_lifecycle(wire: Wire, node: str, living: Living) -> None:
     wire.serve(node, f"/{node}/change_state", changing, change)
 
 
-def possible(state: LifecycleState) -> list[Transition]:
-    """What may be asked of a node in a state."""
-    return [transition for transition, step in STEPS.items() if step.start is state]
+def possible(state: LifecycleState, allowed: Collection[Transition] = frozenset(Transition)) -> list[Transition]:
+    """What may be asked of a node in a state, of the transitions that it can be led through at all."""
+    return [transition for transition, step in STEPS.items() if step.start is state and transition in allowed]
 
 
 def asked(number: int, label: str, state: LifecycleState) -> Transition | None:

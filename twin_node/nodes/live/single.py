@@ -54,9 +54,8 @@ class _Led:
         return self.node.state
 
     def change(self, transition: Transition, done: Callable[[bool], None]) -> None:
-        done(STEPS[transition].is_shutdown)
-        if STEPS[transition].is_shutdown:
-            self.end()
+        done(True)
+        self.end()
 
 
 @contextlib.contextmanager
@@ -101,7 +100,8 @@ def _claimed(parameters: ZenohParameters, node: str) -> NodeNames:
 def serve(wire: ZenohWire, node: Node, parameters: Mapping[str, Parameter], end: Callable[[], None]) -> None:
     """Lets others ask about a command's own node, and end it: `end()` is called in a thread of the wire's."""
     serve_parameters(wire, node.name, parameters)
-    serve_lifecycle(wire, node.name, _Led(node, end))
+    shutdowns = [transition for transition, step in STEPS.items() if step.is_shutdown]
+    serve_lifecycle(wire, node.name, _Led(node, end), shutdowns)
 
 
 def run_single(
