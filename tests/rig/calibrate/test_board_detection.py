@@ -100,3 +100,14 @@ def test_an_aprilgrid_is_read_steep_blurred_and_in_part(view: str, blur_px: floa
     assert np.median(errors) < 0.1
     assert np.quantile(errors, 0.95) < 0.5  # a stray corner is the adjustment's to leave out
     assert len(found) < len(board.points) or view != "half out of the picture"
+
+
+@pytest.mark.parametrize("board", [AprilGrid(3, 2, 0.06, 0.2), CircleGrid(3, 5, 0.05, asymmetric=True)], ids=str)
+def test_a_board_that_fills_a_large_image_is_found_where_it_is(board: Board) -> None:
+    """The frames of its tags are wide, its dots large: a detector's customary limits are those of small images."""
+    lens = a_lens(width=2560, height=1920, focal=2080.0)
+    T = before_camera(board)
+    found, truth = board.detect(picture(board, lens, T)), seen_corners(board, lens, T)
+    assert found is not None and truth is not None
+    assert len(found) == len(board.points) == len(truth)
+    assert np.abs(found.pixels - truth.pixels).max() < 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Protocol
@@ -28,6 +29,14 @@ BORDERS = (1, 2)
 
 MAX_TAG_ERROR = 0.2
 """Largest distance of a tag's corner from where the other tags want it, in tag widths; beyond it the tag is misread."""
+
+
+LEGIBLE_PX = 60.0
+"""Longest edge of a tag whose frame, a fifth of it, is narrower than a detector's window: within a wider frame nothing
+is darker than what is about it, and an edge may be found there, a module off."""
+
+SMALLEST_PX = 240
+"""Images are not halved to smaller ones than this."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +152,12 @@ class CircleGrid:
     def detect(self, grey: UInt8) -> Corners | None:
         """All centres, or None."""
         kind = cv2.CALIB_CB_ASYMMETRIC_GRID if self.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-        found, centres = cv2.findCirclesGrid(grey, (self.columns, self.rows), flags=kind)
+        limits = cv2.SimpleBlobDetector.Params()  # its largest blob, 5000 pixels, is a dot 80 pixels wide
+        limits.maxArea = max(limits.maxArea, grey.size / (self.columns * self.rows))
+        dots, size = cv2.SimpleBlobDetector.create(limits), (self.columns, self.rows)
+        found, centres = cv2.findCirclesGrid(grey, size, flags=kind, blobDetector=dots)
         if not found:
-            found, centres = cv2.findCirclesGrid(grey, (self.columns, self.rows), flags=kind | cv2.CALIB_CB_CLUSTERING)
+            found, centres = cv2.findCirclesGrid(grey, size, flags=kind | cv2.CALIB_CB_CLUSTERING, blobDetector=dots)
         if not found or centres is None:
             return None
         return Corners(np.arange(len(centres)), np.asarray(centres, dtype=np.float64).reshape(-1, 2))
@@ -206,6 +218,18 @@ class CharucoBoard:
 
 
 @dataclass(frozen=True)
+class _Tags:
+    """Tags read in one image."""
+
+    ids: NDArray[np.int64]
+    """[T] their numbers."""
+    quads: Float64
+    """[T, 4, 2] their corners, pixels, in the order of the board's `points`."""
+    off: float
+    """Median distance of a tag's corner from where the other tags want it, in tag widths; infinite of too few."""
+
+
+@dataclass(frozen=True)
 class AprilGrid:
     """A grid of AprilTags as Kalibr prints it: numbered from the bottom left, row by row."""
 
@@ -232,22 +256,33 @@ class AprilGrid:
 
     def detect(self, grey: UInt8) -> Corners | None:
         """The corners of all tags that agree on where the board is (four at least), or None."""
-        tags = max((self._tags(grey, border) for border in BORDERS), key=len)
-        if len(tags) < 4:
+        images = _halved(grey)
+        by_border = [[self._in_order(self._tags(image, border)) for image in images] for border in BORDERS]
+        read = min(by_border, key=lambda tags: min(own.off for own in tags))
+        levels = _legible(read)
+        if len(levels) < 4:
             return None
-        ids = np.array(sorted(tags))
-        quads = self._in_order(ids, np.stack([tags[i] for i in ids]))
-        if quads is None:
-            return None
-        agree = np.isfinite(quads).all(axis=(1, 2))
-        ids, quads = ids[agree], quads[agree]
-        if len(ids) < 4:
-            return None
-        # Kalibr's black squares at the corners push the outline off by a few pixels: first a wide window, then a small.
+        corners: dict[int, Float64] = {}
+        for level, tags in enumerate(read):
+            own = [i for i, number in enumerate(tags.ids.tolist()) if levels[number] == level]
+            if own:
+                corners.update(zip(tags.ids[own].tolist(), self._refined(images, level, tags.quads[own]), strict=True))
+        ids = np.array(sorted(corners))
+        return Corners((4 * ids[:, None] + np.arange(4)).ravel(), np.concatenate([corners[i] for i in ids.tolist()]))
+
+    def _refined(self, images: Sequence[UInt8], level: int, quads: Float64) -> Float64:
+        """[T, 4, 2] corners in the first image of tags that were read in the one of `level`."""
         pixels, sides = quads.reshape(-1, 2), np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2)
         gap = float(sides.min()) * self.spacing
-        refined = _refined(grey, _refined(grey, pixels, 2 * gap), gap)
-        return Corners((4 * ids[:, None] + np.arange(4)).ravel(), refined)
+        # Kalibr's black squares at the corners push the outline off by a few pixels: first a wide window, then a small.
+        pixels = _refined(images[level], _refined(images[level], pixels, 2 * gap), gap)
+        if level:
+            scale = np.array(images[0].shape[::-1]) / images[level].shape[::-1]
+            whole = (pixels + 0.5) * scale - 0.5
+            fine = _refined(images[0], whole, gap * float(scale.min()))
+            near = np.linalg.norm(fine - whole, axis=1, keepdims=True) < scale.min()  # a blurred corner leads away
+            pixels = np.where(near, fine, whole)
+        return pixels.reshape(-1, 4, 2)
 
     def _tags(self, grey: UInt8, border: int) -> dict[int, Float64]:
         """Corners [4, 2] of the tags of the board, by number."""
@@ -262,23 +297,27 @@ class AprilGrid:
             if 0 <= number < self.columns * self.rows
         }
 
-    def _in_order(self, ids: NDArray[np.int64], quads: Float64) -> Float64 | None:
-        """The quads [T, 4, 2] from the corner that `points` begin with, NaN for tags that most others say are misread.
-
-        None where they fit no board.
+    def _in_order(self, tags: Mapping[int, Float64]) -> _Tags:
+        """Tags [4, 2] by number, from the corners that `points` begin with, without those that others say are misread.
 
         Tools disagree on which corner of a tag comes first, and in which sense: the tags' places on the board decide.
         """
-        model = self.points.reshape(-1, 4, 3)[ids, :, :2]
-        H, _ = cv2.findHomography(model.mean(axis=1), quads.mean(axis=1), cv2.RANSAC, 0.5 * self._edge(quads))
+        none = _Tags(np.zeros(0, np.int64), np.zeros((0, 4, 2)), np.inf)
+        if len(tags) < 4:
+            return none
+        ids = np.array(sorted(tags))
+        quads = np.stack([tags[i] for i in ids])
+        model, edge = self.points.reshape(-1, 4, 3)[ids, :, :2], self._edge(quads)
+        H, _ = cv2.findHomography(model.mean(axis=1), quads.mean(axis=1), cv2.RANSAC, 0.5 * edge)
         if H is None:
-            return None
+            return none
         expected = cv2.perspectiveTransform(model.reshape(1, -1, 2), H).reshape(quads.shape)
         orders = [np.roll(quads[:, ::sense], turn, axis=1) for sense in (1, -1) for turn in range(4)]
-        errors = [np.linalg.norm(order - expected, axis=2).max(axis=1) for order in orders]
+        errors = [np.linalg.norm(order - expected, axis=2).max(axis=1) / edge for order in orders]
         best = int(np.argmin([np.median(error) for error in errors]))
-        misread = errors[best] >= MAX_TAG_ERROR * self._edge(quads)
-        return np.where(misread[:, None, None], np.nan, orders[best])
+        agree = errors[best] < MAX_TAG_ERROR
+        off = float(np.median(errors[best])) if agree.sum() >= 4 else np.inf
+        return _Tags(ids[agree], orders[best][agree], off)
 
     @staticmethod
     def _edge(quads: Float64) -> float:
@@ -307,6 +346,27 @@ def dictionary_of(board: CharucoBoard | AprilGrid) -> cv2.aruco.Dictionary:
             "dictionary, for example DICT_4X4_250"
         )
     return dictionary
+
+
+def _halved(grey: UInt8) -> list[UInt8]:
+    """An image [H, W], and it halved again and again."""
+    images = [grey]
+    while min(images[-1].shape) >= 2 * SMALLEST_PX:
+        height, width = images[-1].shape
+        small = cv2.resize(images[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        images.append(np.asarray(small, np.uint8))
+    return images
+
+
+def _legible(read: Sequence[_Tags]) -> dict[int, int]:
+    """The level that each tag is taken from, of those read in an image halved again and again: the finest legible."""
+    levels: dict[int, int] = {}
+    for level in reversed(range(len(read))):
+        longest = np.linalg.norm(read[level].quads - np.roll(read[level].quads, 1, axis=1), axis=2).max(axis=1)
+        for number, edge in zip(read[level].ids.tolist(), longest.tolist(), strict=True):
+            if edge <= LEGIBLE_PX or number not in levels:
+                levels[number] = level
+    return levels
 
 
 def _starts_dark(grey: UInt8, grid: Float64) -> bool:
