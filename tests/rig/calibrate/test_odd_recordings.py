@@ -39,6 +39,18 @@ def test_hidden_files_beside_pictures_and_videos_are_none(tmp_path: Path) -> Non
     assert [picture.name for picture in pictures_of([flat], 1)] == ["left01.png", "right01.png"]
 
 
+@pytest.mark.parametrize(("one", "other"), [("cam-1", "cam 1"), ("左", "右"), ("1", "cam_1")])
+@pytest.mark.parametrize("form", ["{}/01.png", "{}_01.png", "{}.mp4"])
+def test_recordings_that_would_have_one_name_are_told(tmp_path: Path, one: str, other: str, form: str) -> None:
+    """Names become those of topics: a rig file of both cannot be read again."""
+    for name in (one, other):
+        path = tmp_path / form.format(name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"")
+    with pytest.raises(RigError, match=f"{one}.*{other}|{other}.*{one}"):
+        load_cameras(tmp_path, BOARD)
+
+
 @pytest.mark.parametrize("read", [_grey, lambda path: list(pictures_of([path], 1))])
 def test_pictures_of_a_kind_that_is_not_read_are_named(tmp_path: Path, read: Callable[[Path], object]) -> None:
     """OpenCV raises an error of its own for EXR."""

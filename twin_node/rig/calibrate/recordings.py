@@ -115,12 +115,13 @@ def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress 
     Either one video per camera, with stamps in `timestamps.csv` or in a file of the video's name; or one folder of
     images per camera; or images whose names end in a number (`left01.png`) or a time: equal ones were taken at once.
 
-    Raises `RigError` where the folder holds nothing of the kind, or stamps are missing.
+    Raises `RigError` where the folder holds nothing of the kind, stamps are missing, or cameras would share a name.
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: expected a folder of videos or images, found none; check the path")
     videos = [p for p in listed(folder) if p.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
+        _check_names(folder, [path.stem for path in videos])
         return [_video_camera(path, number, board, every, progress) for number, path in enumerate(videos)]
     stills = _stills(folder)
     if not stills:
@@ -128,6 +129,7 @@ def load_cameras(folder: Path, board: Board, every: int = 1, progress: Progress 
             f"{folder}: expected one video per camera, one folder of images per camera, or images named like "
             "left01.png and right01.png; found none of these"
         )
+    _check_names(folder, list(stills))
     return [_still_camera(name, numbered, board, progress) for name, numbered in stills.items()]
 
 
@@ -149,6 +151,19 @@ def with_lenses(cameras: Sequence[CameraRecording], rig: Rig) -> list[CameraReco
             )
         out.append(replace(camera, lens=lens))
     return out
+
+
+def _check_names(folder: Path, names: Sequence[str]) -> None:
+    """Raises `RigError` where cameras whose recordings have these names would have one between them."""
+    first: dict[str, str] = {}
+    for name in names:
+        camera = as_camera_name(name)
+        if camera in first:
+            raise RigError(
+                f"{folder}: expected recordings that give each camera a name of its own, of letters, digits and _, "
+                f"found {first[camera]} and {name}, both {camera}; rename one"
+            )
+        first[camera] = name
 
 
 def _video_camera(path: Path, number: int, board: Board, every: int, progress: Progress | None) -> CameraRecording:
