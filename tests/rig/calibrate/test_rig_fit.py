@@ -13,6 +13,7 @@ from simulated_rigs import BOARD
 
 from twin_node.geometry import pose
 from twin_node.rig import RigError
+from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.rig_fit import (
     BEHIND_PX,
     RigFit,
@@ -152,3 +153,22 @@ def test_what_lies_behind_a_camera_is_as_far_off_as_can_be_and_has_no_slope(reco
     assert not eyes.slopes(one, behind, np.zeros(6)).any()
     aside = rig.cameras[0].T_base_cam @ pose(np.eye(3), np.array([3.0, 0.0, 1e-4]))
     assert np.abs(eyes.residuals(one, [aside])[0]).max() <= BEHIND_PX
+
+
+def test_a_small_camera_beside_a_large_one_is_judged_by_its_own_images() -> None:
+    """What is a pixel or two of a large image is a camera that has moved in a small one."""
+    lenses = [a_lens(width=2560, height=1920, focal=2080.0), a_lens(), a_lens()]
+    rig = Rig(
+        tuple(
+            RigCamera(f"cam{i}", lens.width, lens.height, lens.K, T, lens.distortion_model, lens.D)
+            for i, (lens, T) in enumerate(zip(lenses, around(3), strict=True))
+        )
+    )
+    films = [
+        record(BOARD, lens, T, f"cam{i}", np.random.default_rng(i), Spoiled(NOISE_PX), seconds=6.0)
+        for i, (lens, T) in enumerate(zip(lenses, around(3), strict=True))
+    ]
+    assert not check_against_board(BOARD, rig, common_sightings(BOARD, rig, films)).findings
+    moved = turned(rig, 1, 0.6)
+    (finding,) = check_against_board(BOARD, moved, common_sightings(BOARD, moved, films)).findings
+    assert finding.camera == "cam1"

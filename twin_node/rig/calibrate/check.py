@@ -80,18 +80,17 @@ def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -
     The rig is good where it explains them; else every customary mistake is undone in turn, and the one that explains
     them best is named. Where none does, the camera that fits worst is.
     """
-    limit = GOOD_SHARE * max(camera.width for camera in rig.cameras)
     views = BoardViews(board)
     whole, seen = _Misfit.of(board, rig, sightings, views), {sighting.camera for sighting in sightings}
-    if whole.worst_px < limit:
+    if whole.share < GOOD_SHARE:
         return Verdict((), unseen=tuple(camera.name for i, camera in enumerate(rig.cameras) if i not in seen))
     few = _some_sets(sightings)
     now, mistakes = _Misfit.of(board, rig, few, views), list(undone(rig))
-    errors = [_Misfit.of(board, mistake.rig, few, views).worst_px for mistake in mistakes]
-    best = int(np.argmin(errors))
-    if errors[best] < now.worst_px / TELLING_FACTOR:
+    then = [_Misfit.of(board, mistake.rig, few, views) for mistake in mistakes]
+    best = int(np.argmin([misfit.share for misfit in then]))
+    if then[best].share < now.share / TELLING_FACTOR:
         found = mistakes[best].finding
-        cause = f"{found.cause} (median error {now.worst_px:.1f} px, then {errors[best]:.1f} px)"
+        cause = f"{found.cause} (median error {now.worst_px:.1f} px, then {then[best].worst_px:.1f} px)"
         return Verdict((replace(found, cause=cause),))
     cause = f"its median error is {whole.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
     return Verdict((Finding(whole.worst, cause),))
@@ -230,15 +229,19 @@ class _Misfit:
     worst: str
     worst_px: float
     """Its median error, pixels."""
+    share: float
+    """The same as a share of its image's width."""
 
     @classmethod
     def of(cls, board: Board, rig: Rig, sightings: Sequence[Sighting], views: BoardViews) -> _Misfit:
         """Of a rig on sightings."""
         result = fit(board, rig, sightings, views)
-        residuals = {camera.name: result.of_camera(number) for number, camera in enumerate(rig.cameras)}
-        errors = {name: float(np.median(np.linalg.norm(r, axis=1))) for name, r in residuals.items() if r is not None}
-        worst = max(errors, key=lambda name: errors[name])
-        return cls(worst, errors[worst])
+        misfits = []
+        for number, camera in enumerate(rig.cameras):
+            if (residuals := result.of_camera(number)) is not None:
+                off_px = float(np.median(np.linalg.norm(residuals, axis=1)))
+                misfits.append(cls(camera.name, off_px, off_px / camera.width))
+        return max(misfits, key=lambda misfit: misfit.share)
 
 
 def _some_sets(sightings: Sequence[Sighting]) -> list[Sighting]:
