@@ -60,3 +60,11 @@ def test_what_xacro_has_to_expand_is_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(ROS_URDF.format(mesh="").replace("</robot>", gripper))
     with pytest.raises(RobotError, match=r"arm.urdf: expected a URDF, found one that xacro has to expand: xacro"):
         load_arm(tmp_path / "arm.urdf")
+
+
+def test_what_xacro_has_expanded_may_speak_of_it_in_a_comment(tmp_path: Path) -> None:
+    """As the URDF of every UR arm does: its user was told to expand it once more, and again."""
+    box, comment = '<box size="0.1 0.1 0.4"/>', '<!--<xacro:ur_arm_transmission\n  prefix="${prefix}"/>--><joint'
+    text = ROS_URDF.replace('<mesh filename="{mesh}"/>', box).replace("<joint", comment)
+    (tmp_path / "arm.urdf").write_text(text)
+    assert load_arm(tmp_path / "arm.urdf").joint_names == ("swing", "turn")

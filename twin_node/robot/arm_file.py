@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from twin_node.robot.model import RobotError
 
 _LEAST_MASS, _LEAST_INERTIA = 1e-3, 1e-6
 """kg and kg m^2, in place of what a file leaves out: nothing here asks how heavy an arm is."""
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+"""Of XML. What xacro has expanded keeps those of its source: there is a macro's call in one of every UR arm's."""
 
 
 def compiled(path: str | Path) -> Any:
@@ -39,7 +42,7 @@ def compiled(path: str | Path) -> Any:
 
 def _refuse_xacro(path: str | Path) -> None:
     """What xacro would put in its place MuJoCo passes over: an arm without its gripper, or none."""
-    if Path(path).suffix == ".xacro" or b"<xacro:" in Path(path).read_bytes():
+    if Path(path).suffix == ".xacro" or b"<xacro:" in _COMMENT.sub(b"", Path(path).read_bytes()):
         raise RobotError(f"{path}: expected a URDF, found one that xacro has to expand: xacro {path} > arm.urdf")
 
 
