@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
+from array import array
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,8 @@ from twin_logs import write_twin_log
 from twin_node.bag import LogWriter, open_log
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
-from twin_node.messages import convert
+from twin_node.messages import convert, message_type
+from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_check import LogCheck, check_log
 from twin_node.nodes.log_source import LogSession
 from twin_node.scene import JointSample, Rig, RigCamera
@@ -111,6 +114,28 @@ def test_a_camera_that_sends_more_slowly_is_not_said_to_be_apart(tmp_path: Path,
     assert fault.startswith(f"camera '{slow}': 15.2 images per second beside 30.3 of '{fast}': sets come ")
 
 
+def test_stamps_that_do_not_carry_over_to_seconds_are_told_as_that(tmp_path: Path) -> None:
+    """As of a driver that counts nanoseconds alone: its times were told as the skew of a camera."""
+    write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
+    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "odd.mcap") as written:
+        for name, record in log.metadata.items():
+            written.add_metadata(name, record)
+        for message in log.messages():
+            if message.topic == "/right/image_raw":
+                content = message.message
+                content.header.stamp.nanosec += 1_012_000_000
+                written.write(message.topic, content, message.stamp)
+            else:
+                written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    found = checked(tmp_path / "odd.mcap")
+    assert {topic.name: topic.faults for topic in found.topics if topic.faults} == {
+        "/right/image_raw": (
+            "40 of 40 stamps have a nanosec of 1e9 or more: whoever makes them does not carry it over to sec",
+        )
+    }
+    assert not any("images lie" in fault for fault in found.faults)
+
+
 def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
     """The twin would go on with the first pose, and the space that it sees would be elsewhere."""
     path = tmp_path / "log.mcap"
@@ -189,6 +214,61 @@ def test_joints_that_are_not_finite_are_found_wherever_they_are(tmp_path: Path, 
             log.write("/joint_states", joints(START + k * PERIOD, positions), START + k * PERIOD)
     (topic,) = checked(path).topics
     assert topic.faults == ("1 messages with positions that are not finite",)
+
+
+URDF = """<robot name="r"><link name="base_link"/><link name="a"/><link name="b"/><link name="c"/>
+<joint name="roll" type="continuous"><parent link="base_link"/><child link="a"/></joint>
+<joint name="lift" type="prismatic"><parent link="base_link"/><child link="b"/><limit upper="9"/></joint>
+<joint name="wrist" type="revolute"><parent link="a"/><child link="c"/><limit lower="-15.7" upper="8"/></joint></robot>
+"""
+
+
+def write_joints(path: Path, names: tuple[str, ...], positions: list[float], urdf: str | None = None) -> None:
+    with LogWriter(path) as log:
+        if urdf is not None:
+            log.write("/robot_description", message_type("std_msgs/msg/String")(data=urdf), START)
+        for k in range(40):
+            stamp = START + k * PERIOD
+            told = np.array(positions) * (k + 1) / 40
+            sample = JointSample(stamp, names, told, np.zeros(len(names)))
+            log.write("/joint_states", convert.joint_sample_to_message(sample), stamp)
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "urdf"),
+    [
+        (("left_wheel_joint", "right_wheel_joint"), [250.0, -31.0], None),
+        (("roll", "lift", "wrist"), [40.0, 8.5, -15.75], URDF),
+        (("pan", "elbow", "wrist_3_joint"), [1.0, -2.0, 19.0], None),
+    ],
+)
+def test_joints_that_turn_on_and_on_are_not_taken_for_degrees(
+    tmp_path: Path, names: tuple[str, ...], positions: list[float], urdf: str | None
+) -> None:
+    """A cart's wheels, a hinge without an end by the robot's description, and one of an arm whose others do turn."""
+    write_joints(tmp_path / "log.mcap", names, positions, urdf)
+    assert not any(topic.faults for topic in checked(tmp_path / "log.mcap").topics)
+
+
+@pytest.mark.parametrize("urdf", [None, "no XML", "<robot/>", URDF])
+def test_degrees_are_told_whatever_else_is_known(tmp_path: Path, urdf: str | None) -> None:
+    """Where there is a description it says what turns on and on; of the others angles are told as before."""
+    write_joints(tmp_path / "log.mcap", ("pan", "elbow", "wrist"), [90.0, -45.0, 20.0], urdf)
+    *_, topic = sorted(checked(tmp_path / "log.mcap").topics, key=lambda topic: len(topic.faults))
+    assert topic.faults[0].startswith(
+        "positions up to 90.0 rad: more than a turn; are they degrees? If pan turns on and"
+    )
+
+
+def test_a_long_recording_of_joints_is_held_in_few_bytes(tmp_path: Path) -> None:
+    """500 of them a second: an hour took half a gigabyte."""
+    delays = np.random.default_rng(0).integers(0, 1_000_000, 200_000).tolist()
+    tracemalloc.start()
+    try:
+        assert clock_step(array("q", range(len(delays))), array("q", delays)) is None
+        assert tracemalloc.get_traced_memory()[1] < 100 * len(delays)
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_report_expects_sets_at_the_cameras_rate(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from twin_node.scene import Float64
 
 WINDOW = 15
 """Messages before and after a step that it is told from: half a second at 30 Hz."""
+BLOCK = 1 << 14
+"""Windows that are looked at together: each is a copy, and a recording of an hour has millions."""
 LEAST_STEP_NS = 50_000_000
 """Less may be a computer that has got more to do."""
 STEADINESS = 0.25
@@ -48,9 +50,7 @@ def clock_step(stamps: Sequence[int], delays: Sequence[int]) -> ClockStep | None
     if len(delays) < 2 * WINDOW:
         return None
     told = np.array(delays, dtype=np.float64)
-    windows = np.lib.stride_tricks.sliding_window_view(told, WINDOW)
-    middles = np.median(windows, axis=1)
-    spreads = np.quantile(windows, 0.9, axis=1) - np.quantile(windows, 0.1, axis=1)
+    middles, spreads = _levels(told)
     steps, spread = middles[:-WINDOW] - middles[WINDOW:], np.maximum(spreads[:-WINDOW], spreads[WINDOW:])
     sizes = np.abs(steps)
     is_step = (sizes >= LEAST_STEP_NS) & (spread <= STEADINESS * sizes)
@@ -60,6 +60,18 @@ def clock_step(stamps: Sequence[int], delays: Sequence[int]) -> ClockStep | None
     row = int(np.argmin(np.where(is_largest, spread, np.inf)))
     last = row + _last_before(told[row : row + 2 * WINDOW], middles[row], middles[row + WINDOW])
     return ClockStep(int(stamps[last]) + int(delays[last]), round(steps[row]))
+
+
+def _levels(told: Float64) -> tuple[Float64, Float64]:
+    """Median and spread [N - WINDOW + 1] of every window of delays [N], ns."""
+    windows = np.lib.stride_tricks.sliding_window_view(told, WINDOW)
+    middles, spreads = np.empty(len(windows)), np.empty(len(windows))
+    for first in range(0, len(windows), BLOCK):
+        block = slice(first, first + BLOCK)
+        middles[block] = np.median(windows[block], axis=1)
+        lower, upper = np.quantile(windows[block], (0.1, 0.9), axis=1)
+        spreads[block] = upper - lower
+    return middles, spreads
 
 
 def _last_before(delays: Float64, before: float, after: float) -> int:

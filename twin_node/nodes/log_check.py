@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.bag import LogMessage, LogReader
+from twin_node.bag.log_times import NO_STOP
 from twin_node.errors import TwinError, TwinWarning
 from twin_node.messages import convert, from_time
+from twin_node.messages.stamps import NS_PER_S
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
+from twin_node.nodes.joint_units import angle_fault, ranges_told
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import base_doubts, depth_unit_fault, joint_doubts, rig_doubts
 from twin_node.nodes.log_source import LogSession, LogSource
@@ -33,10 +37,8 @@ from twin_node.nodes.topics import (
     GraphError,
     has_images,
 )
-from twin_node.scene import RigCamera
+from twin_node.scene import Float64, RigCamera
 
-LARGEST_ANGLE_RAD = 2 * np.pi + 0.1
-"""Joints of UR arms turn by one turn each way; more is degrees, or not their angle."""
 DELAY_NS = 1_000_000_000
 """A header stamp further than this from the time of recording was made by another clock."""
 SAMPLES = 5
@@ -74,10 +76,13 @@ class LogCheck:
 
 @dataclass
 class _Stream:
-    """What one device says on a topic."""
+    """What one device says on a topic, in few bytes a message: an arm tells of itself 500 times a second."""
 
-    stamps: list[int] = field(default_factory=list)
-    delays: list[int] = field(default_factory=list)
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    """ns, as those in which it was recorded after them."""
+    delays: array[int] = field(default_factory=lambda: array("q"))
+    farthest: Float64 | None = None
+    """[J] how far each of its joints went, rad, without sign; None of what tells no joint."""
 
 
 @dataclass
@@ -93,8 +98,10 @@ class _Seen:
     contents: list[Any] = field(default_factory=list)
     calibrations: dict[tuple[object, ...], int] = field(default_factory=dict)
     """By what a camera's CameraInfo say of its lens: when that was first said, ns."""
-    largest: list[float] = field(default_factory=list)
-    """Of every JointState's positions that are told, without sign; NaN where none is."""
+    uncarried: int = 0
+    """Stamps with whole seconds among their nanoseconds: no two programs need to take them for the same time."""
+    wild: int = 0
+    """JointStates with positions none of which is a number, or one of which is infinite."""
 
     @property
     def busiest(self) -> _Stream:
@@ -107,6 +114,7 @@ def check_log(log: LogReader) -> LogCheck:
     seen: dict[str, _Seen] = {topic.name: _Seen() for topic in log.topics}
     every = {topic.name: max(1, topic.count // SAMPLES) for topic in log.topics}
     unreadable: dict[str, str] = {}
+    ranges = ranges_told(log)
     for message in log.messages():
         try:
             _look_at(message, seen[message.topic], every[message.topic])
@@ -120,7 +128,11 @@ def check_log(log: LogReader) -> LogCheck:
         for names, stream in found.streams.items():
             whose = f"{', '.join(names)}: " if len(found.streams) > 1 else ""
             is_regular = topic.msgtype in REGULAR_TYPES
-            faults += [f"{whose}{fault}" for fault in _time_faults(stream, is_regular, log.start_ns)]
+            unit = None if stream.farthest is None or found.wild else angle_fault(names, stream.farthest, ranges)
+            times = [] if found.uncarried else _time_faults(stream, is_regular, log.start_ns)
+            in_all = [*times, *filter(None, [unit])]
+            faults += [f"{whose}{fault}" for fault in in_all]
+        faults += _stamp_faults(found)
         faults += _unit_faults(topic.name, topic.msgtype, found) + _calibration_faults(found, log.start_ns)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
@@ -133,6 +145,16 @@ def check_log(log: LogReader) -> LogCheck:
     else:
         whole += [*_camera_faults(log, topics, seen), *moved_frames(log, topics.original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
+
+
+def _stamp_faults(seen: _Seen) -> list[str]:
+    """What speaks against the stamps of a topic, each by itself."""
+    if not seen.uncarried:
+        return []
+    return [
+        f"{seen.uncarried} of {seen.count} stamps have a nanosec of 1e9 or more: whoever makes them does not carry it "
+        "over to sec"
+    ]
 
 
 def _time_faults(stream: _Stream, is_regular: bool, start: int) -> list[str]:
@@ -148,25 +170,32 @@ def _time_faults(stream: _Stream, is_regular: bool, start: int) -> list[str]:
 
 def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
     """Takes note of a message's times, and of every so many's content."""
-    is_regular = message.msgtype in REGULAR_TYPES
-    stamp, names, delays = message.stamp, (), []
-    if is_regular or message.msgtype == CAMERA_INFO:
-        content = message.message
-        stamp = from_time(content.header.stamp)
-        delays = [message.stamp - stamp]
-        if message.msgtype == JOINT_STATE:
-            names = tuple(content.name)
-            told = ~np.isnan(content.position)
-            is_any = bool(told.any() or not len(told))
-            seen.largest.append(float(np.abs(content.position[told]).max(initial=0.0)) if is_any else np.nan)
-        elif seen.count % every == 0:
-            seen.contents.append(content)
-        if message.msgtype == CAMERA_INFO:
-            seen.calibrations.setdefault(_lens_told(content), message.stamp)
+    is_stamped = message.msgtype in REGULAR_TYPES or message.msgtype == CAMERA_INFO
+    content: Any = message.message if is_stamped else None
+    is_of_joints = message.msgtype == JOINT_STATE
+    names = tuple(content.name) if is_of_joints else ()
     stream = seen.streams.setdefault(names, _Stream())
+    if is_of_joints:
+        _look_at_joints(content, seen, stream)
+    elif is_stamped and seen.count % every == 0:
+        seen.contents.append(content)
+    if message.msgtype == CAMERA_INFO:
+        seen.calibrations.setdefault(_lens_told(content), message.stamp)
+    stamp = from_time(content.header.stamp) if is_stamped else message.stamp
     stream.stamps.append(stamp)
-    stream.delays += delays
+    if is_stamped:
+        seen.uncarried += int(content.header.stamp.nanosec >= NS_PER_S)
+        stream.delays.append(min(message.stamp - stamp, NO_STOP - 1))
     seen.count += 1
+
+
+def _look_at_joints(content: Any, seen: _Seen, stream: _Stream) -> None:
+    """Takes note of where a JointState has its joints."""
+    positions = np.abs(content.position)
+    seen.wild += bool(np.isinf(positions).any() or (len(positions) and np.isnan(positions).all()))
+    if len(positions) == len(content.name):
+        before = np.zeros(len(positions)) if stream.farthest is None else stream.farthest
+        stream.farthest = np.fmax(before, positions)
 
 
 def _lens_told(info: Any) -> tuple[object, ...]:
@@ -188,13 +217,8 @@ def _calibration_faults(seen: _Seen, start: int) -> list[str]:
 
 def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
     """What speaks against the units of a topic's messages."""
-    if msgtype == JOINT_STATE:
-        largest = np.array(seen.largest)
-        wild = int((~np.isfinite(largest)).sum())
-        if wild:
-            return [f"{wild} messages with positions that are not finite"]
-        if largest.max(initial=0.0) > LARGEST_ANGLE_RAD:
-            return [f"positions up to {largest.max():.1f} rad: more than a turn; are they degrees?"]
+    if msgtype == JOINT_STATE and seen.wild:
+        return [f"{seen.wild} messages with positions that are not finite"]
     if msgtype in IMAGE_TYPES and "depth" in topic:
         return _depth_faults(seen.contents)
     return []
@@ -233,19 +257,25 @@ def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) ->
     try:
         found = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:
-        return [*_image_faults(cameras, seen, {}), *_skew_faults(cameras, stamps), *faults, str(error)]
+        return [*_image_faults(cameras, seen, {}), *_skew_faults(_timed(cameras, seen), stamps), *faults, str(error)]
     known = {camera.name: camera for camera in found.rig.cameras}
     cameras = [camera for camera in cameras if camera.name in known]
-    by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in cameras}
+    timed = _timed(cameras, seen)
+    by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in timed}
     faults = [
         *_image_faults(cameras, seen, known),
-        *_rate_faults(cameras, by_rig),
-        *_skew_faults(cameras, by_rig),
-        *_depth_skews(cameras, seen),
+        *_rate_faults(timed, by_rig),
+        *_skew_faults(timed, by_rig),
+        *_depth_skews(timed, seen),
         *faults,
     ]
     doubts = (*found.left_out, *rig_doubts(cameras, found.rig), *base_doubts(log, names))
     return [*doubts, *(faults or _first_set_faults(log))]
+
+
+def _timed(cameras: Sequence[CameraTopics], seen: Mapping[str, _Seen]) -> list[CameraTopics]:
+    """Cameras whose stamps are such as say when their images and depth were taken."""
+    return [c for c in cameras if not any(seen[topic].uncarried for topic in (c.image, c.depth) if topic)]
 
 
 def _first_set_faults(log: LogReader) -> list[str]:
@@ -318,7 +348,7 @@ def _to_nearest(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray
 def _rate_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[int]]) -> Iterator[str]:
     """Cameras that send more slowly than the fastest one; `stamps` by topic, ns."""
     rates = {camera.name: statistics_of(stamps[camera.image]).rate_hz for camera in cameras}
-    fastest = max(rates, key=lambda name: rates[name] if np.isfinite(rates[name]) else 0.0)
+    fastest = max(rates, key=lambda name: rates[name] if np.isfinite(rates[name]) else 0.0, default="")
     for name, rate in rates.items():
         if rate < SLOWER * rates[fastest]:
             yield (
@@ -332,9 +362,9 @@ def _skew_faults(cameras: Sequence[CameraTopics], stamps: Mapping[str, Sequence[
 
     Of two rates it counts how far the images of the slower camera lie from those of the other.
     """
-    first = np.array(stamps[cameras[0].image], dtype=np.int64)
     faults = []
     for camera in cameras[1:]:
+        first = np.array(stamps[cameras[0].image], dtype=np.int64)
         own = np.array(stamps[camera.image], dtype=np.int64)
         if len(first) < 2 or len(own) < 2:
             continue
