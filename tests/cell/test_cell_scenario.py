@@ -157,6 +157,13 @@ def test_a_scenario_that_is_not_there_says_where_it_was_looked_for() -> None:
         load_scenario("nowhere")
 
 
+@pytest.mark.parametrize("name", ["a" * 300, "a" * 5000, "/".join(["a" * 100] * 60)])
+def test_a_name_that_no_file_can_have_is_told_as_that(name: str) -> None:
+    """The processes of a launch ended with an OSError, and were begun again and again."""
+    with pytest.raises(CellError, match="File name too long"):
+        load_scenario(name)
+
+
 def test_an_unknown_arm_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TwinError, match="ur99"):
         World(load_scenario(written(tmp_path, {"cameras": [CAMERA], "arm": {"model": "ur99"}})))

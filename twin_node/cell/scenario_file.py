@@ -46,7 +46,7 @@ def _with_files(scenario: Scenario, folder: Path) -> Scenario:
 def _beside(folder: Path, name: str) -> Path:
     """A file beside the scenario, else as given from here; raises `CellError` where there is neither."""
     for path in (folder / name, Path(name)):
-        if path.is_file():
+        if _is_file(path):
             return path.resolve()
     known = ", ".join(sorted(file.name for file in folder.glob("*.bvh"))) or "none"
     raise CellError(f"motion: no file '{name}' beside the scenario or here; beside it are: {known}")
@@ -93,4 +93,12 @@ def _base(path: Path, name: object) -> Path:
 
 def _find(name: str | Path) -> Path:
     bare = Path(name)
-    return resources.find(bare if bare.suffix or bare.is_file() else f"sim/{bare}.yaml")
+    return resources.find(bare if bare.suffix or _is_file(bare) else f"sim/{bare}.yaml")
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file is there; none is by a name that none can have."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
