@@ -219,6 +219,45 @@ def test_sqlite_messages_without_content_are_damage(tmp_path: Path) -> None:
         assert "without time or content" in log.damage
 
 
+@pytest.mark.parametrize("form", ["unknown", ""])
+def test_an_sqlite_file_with_a_type_that_nobody_could_define_is_read(tmp_path: Path, form: str) -> None:
+    """So rosbag2 writes a type whose package it does not find: nothing of the whole file could be read."""
+    path = sqlite_bag(tmp_path / "bag")
+    with sqlite3.connect(path) as file:
+        file.execute("INSERT INTO message_definitions VALUES (9, 'my_msgs/msg/Odd', ?, '', '')", (form,))
+        file.execute("INSERT INTO topics VALUES (9, '/odd', 'my_msgs/msg/Odd', 'cdr', '', '')")
+        file.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (9, ?, ?)", (START, bytes(8)))
+    with open_log(path) as log:
+        assert [(topic.name, topic.count) for topic in log.topics] == [("/odd", 1), ("/text", COUNT)]
+        assert [m.message.data for m in log.messages("/text")] == [f"number {number}" for number in range(COUNT)]
+        assert [bytes(entry.data) for entry in log.messages("/odd")] == [bytes(8)]
+
+
+def cut_index(path: Path, left: int) -> None:
+    """So that it leads to the first so many messages, as of a page that never reached the disk whole."""
+    with sqlite3.connect(path) as file:
+        [[page]] = file.execute("SELECT rootpage FROM sqlite_master WHERE name = 'timestamp_idx'")
+    content = bytearray(path.read_bytes())
+    count_at = (page - 1) * 4096 + 3  # SQLite file format 1.6: cells of the page, two bytes
+    assert content[count_at : count_at + 2] == struct.pack(">H", COUNT)
+    content[count_at : count_at + 2] = struct.pack(">H", left)
+    path.write_bytes(content)
+
+
+def test_messages_that_an_index_of_sqlites_does_not_lead_to_are_missed_aloud(tmp_path: Path) -> None:
+    """They were gone without a word."""
+    path = sqlite_bag(tmp_path / "bag")
+    cut_index(path, COUNT - 6)
+    with open_log(path) as log:
+        assert len(list(log.messages(stop_ns=START + 3))) == 3
+        assert log.damage is None
+        assert len(list(log.messages())) == COUNT - 6
+        assert log.damage == f"{path}: damaged, its index of times leads to {COUNT - 6} of {COUNT} messages"
+    cut_index(sqlite_bag(tmp_path / "other"), 0)
+    with pytest.raises(BagError, match=f"its index of times leads to none of {COUNT} messages"):
+        open_log(tmp_path / "other")
+
+
 def add_pairs(writer: Writer, topic: str, definition: str, count: int = 1) -> None:
     schema = writer.register_schema("my_msgs/msg/Pair", "ros2msg", definition.encode())
     channel = writer.register_channel(topic, "cdr", schema)

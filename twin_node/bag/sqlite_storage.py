@@ -27,7 +27,7 @@ class SqliteStorage:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            with _plainly_named(path) as plain:
+            with _plainly_named(path) as plain, _known_definitions():
                 self._reader = Reader(plain)
                 self._reader.open()
             self._check()
@@ -92,32 +92,67 @@ class SqliteStorage:
         if not wanted:
             return
         messages = self._reader.messages(wanted, start, stop if stop < NO_STOP else None)  # SQLite knows none beyond
-        stamp = max(start, part.start)
+        stamp, found = max(start, part.start), 0
+        is_all = start <= self._reader.start_time and stop >= self._reader.end_time
         while True:
             try:
                 connection, stamp, data = next(messages)
                 if not (isinstance(stamp, int) and isinstance(data, bytes)):
                     raise ReaderError(f"a message on {connection.topic} without time or content")
             except StopIteration:
-                return
+                break
             except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
                 reason = " ".join(str(error).split())
                 raise DamageError(
                     f"{self._path}: damaged after the message at {stamp} ns ({reason}); read up to it"
                 ) from None
+            found += 1
             yield Record(connection.topic, connection.msgtype, stamp, data, stamp, connection.msgdef.data)
+        count = sum(connection.msgcount for connection in wanted)
+        if is_all and found < count:
+            raise DamageError(f"{self._path}: damaged, its index of times leads to {found} of {count} messages")
 
     def close(self) -> None:
         """Releases the file."""
         self._reader.close()
 
     def _check(self) -> None:
-        """Raises `ReaderError`, and closes the file, where what names the topics is no text."""
+        """Raises `ReaderError`, and closes the file, where what names the topics is no text, or no time is known."""
+        count = sum(connection.msgcount for connection in self._reader.connections)
+        if count and self._reader.start_time >= self._reader.end_time:
+            self._reader.close()
+            raise ReaderError(f"damaged, its index of times leads to none of {count} messages")
         for connection in self._reader.connections:
             named = (connection.topic, connection.msgtype, cast("ConnectionExtRosbag2", connection.ext))
             if not all(isinstance(text, str) for text in (*named[:2], named[2].serialization_format)):
                 self._reader.close()
                 raise ReaderError(f"topic {connection.topic!r} of type {connection.msgtype!r}")
+
+
+@contextlib.contextmanager
+def _known_definitions() -> Iterator[None]:
+    """Databases that are opened meanwhile show only message definitions of a form that rosbags knows.
+
+    Of a type that it finds no definition of, rosbag2 (since Iron) keeps one of no form, or of form "unknown"; rosbags
+    reads nothing of such a file.
+    """
+    try:
+        import apsw
+    except ImportError:  # older versions of rosbags ask another library
+        yield
+        return
+
+    def hide(database: apsw.Connection) -> None:
+        database.execute(
+            "CREATE TEMP VIEW IF NOT EXISTS message_definitions AS "
+            "SELECT * FROM main.message_definitions WHERE encoding IN ('ros2msg', 'ros2idl')"
+        )
+
+    apsw.connection_hooks.append(hide)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(hide)
 
 
 @contextlib.contextmanager
