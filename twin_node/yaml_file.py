@@ -40,9 +40,17 @@ def yaml_reason(problem: Exception) -> str:
     return words.replace("unhashable key", "a list or a mapping as a key")
 
 
-def parse_yaml(text: str) -> object:
-    """What a text in YAML says. Raises `YAML_ERRORS` as `read_yaml` has them."""
-    return yaml.load(text, _Loader)
+def parse_yaml(text: str, texts_of: str | None = None) -> object:
+    """What a text in YAML says. Raises `YAML_ERRORS` as `read_yaml` has them.
+
+    `texts_of`: a field whose own fields are text as it stands, but null: others write `run: 007` and mean that.
+    """
+    loader = _Loader(text)
+    loader.texts_of = texts_of
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
 
 
 def yaml_text(content: object) -> str:
@@ -74,6 +82,8 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[yaml.Node, int] = {}
         """Characters of each node, with all that its aliases stand for; of a collection one more."""
         self._repeated = 0
+        self.texts_of: str | None = None
+        """See `parse_yaml`."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if not self.check_event(yaml.AliasEvent):
@@ -122,5 +132,14 @@ class _Loader(yaml.SafeLoader):
                 again = f"found the field {key.value!r} a second time"
                 raise yaml.constructor.ConstructorError(None, None, again, key.start_mark)
             known.add(key.value)
+        for key, value in node.value:
+            if isinstance(value, yaml.MappingNode) and key.value == self.texts_of:
+                _take_as_text(value)
         self._sizes[node] = 1 + sum(self._sizes[key] + self._sizes[value] for key, value in node.value)
         return node
+
+
+def _take_as_text(mapping: yaml.MappingNode) -> None:
+    for node in (one for pair in mapping.value for one in pair if isinstance(one, yaml.ScalarNode)):
+        if node.tag != "tag:yaml.org,2002:null":
+            node.tag = "tag:yaml.org,2002:str"

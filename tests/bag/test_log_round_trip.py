@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_typestore
 
 from twin_node.bag import BagError, LogWriter, open_log, read_rig_record, write_rig
+from twin_node.bag.repair import repair
 from twin_node.bag.rig import RecordedClock
 from twin_node.messages import Message, MessageError, definition, message_type, serialize
 from twin_node.messages.convert import camera_info
@@ -200,11 +201,28 @@ def test_folders_of_both_storages(tmp_path: Path, plugin: StoragePlugin) -> None
     types = get_typestore(Stores.ROS2_JAZZY)
     with FolderWriter(tmp_path / "bag", version=9, storage_plugin=plugin) as bag:
         bag.set_custom_data("author", "me")
+        bag.set_custom_data("of the job", '{"run": 12}')
         connection = bag.add_connection("/chatter", STRING, typestore=types)
         for i in range(10):
             bag.write(connection, START + i, serialize(text(str(i))))
     with open_log(tmp_path / "bag") as log:
         assert [m.message.data for m in log.messages(start_ns=START + 7)] == ["7", "8", "9"]
         assert log.metadata["author"] == {"value": "me"}
+        assert log.metadata["of the job"] == {"value": '{"run": 12}'}
+    assert repair(tmp_path / "bag", tmp_path / "whole.mcap").messages == 10
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == 10
+
+
+@pytest.mark.parametrize("value", ["12", "007", "yes", "12:30:45", "2026-02-30", "1.50"])
+def test_custom_data_are_the_text_that_they_were_given_as(tmp_path: Path, value: str) -> None:
+    """`ros2 bag record --custom-data run=12` writes it without quotes: such a folder was none of rosbag2's."""
+    with FolderWriter(tmp_path / "bag", version=9) as bag:
+        bag.set_custom_data("run", "VALUE")
+        connection = bag.add_connection("/chatter", STRING, typestore=get_typestore(Stores.ROS2_JAZZY))
+        bag.write(connection, START, serialize(text("a")))
+    file = tmp_path / "bag" / "metadata.yaml"
+    file.write_text(file.read_text().replace("VALUE", value))
+    with open_log(tmp_path / "bag") as log:
+        assert log.metadata["run"] == {"value": value}
+        assert len(list(log.messages())) == 1

@@ -310,7 +310,7 @@ class _Information:
 
 def _bag_information(file: Path) -> _Information:
     try:
-        content: Any = parse_yaml(file.read_text(encoding="utf-8"))
+        content: Any = parse_yaml(file.read_text(encoding="utf-8"), texts_of="custom_data")
         information = content["rosbag2_bagfile_information"]
         topics = [topic["topic_metadata"] for topic in information["topics_with_message_count"]]
         return _Information(
@@ -333,10 +333,11 @@ def _custom_data(information: Any) -> dict[str, Mapping[str, str]]:
     records: dict[str, Mapping[str, str]] = {}
     for name, text in (information.get("custom_data") or {}).items():
         try:
-            content = json.loads(text)
+            content = json.loads(text or "")
         except (ValueError, RecursionError):
-            content = text
-        records[name] = content if isinstance(content, dict) else {"value": str(text)}
+            content = None
+        is_record = isinstance(content, dict) and all(isinstance(value, str) for value in content.values())
+        records[name] = content if is_record else {"value": text or ""}
     return records
 
 
