@@ -9,8 +9,11 @@ import sys
 
 import pytest
 
+from twin_node.arm.ur import DriverState
 from twin_node.bench import ur
 from twin_node.bench.errors import BenchError
+from twin_node.bench.ur_rig import Answer, UrRig
+from twin_node.bench.ur_twin import TwinNews
 from twin_node.cli import main
 
 pytest.importorskip("rtde_io", reason="ur_rtde is not installed (extra 'ur')")
@@ -77,6 +80,15 @@ def test_a_driver_that_does_not_come_back_is_told(monkeypatch: pytest.MonkeyPatc
     score = ur._score(fault, 2)
     assert (score.driver_back, score.not_back, score.unanswered) == (None, 2, 2)
     assert ur.UrBench({"driver_killed": score}).as_json()["not_back"] == 2
+
+
+@pytest.mark.parametrize("killed_ns", [100, 150])
+def test_a_driver_that_is_back_before_the_fault_is_answered_counts(killed_ns: int) -> None:
+    """It was taken for the one that was killed, and another was waited for in vain: never back, of a quick driver."""
+    rig = UrRig.__new__(UrRig)
+    at_work, back = (DriverState.READY, "", None, 7), (DriverState.HALTED, "killed", None, 8)
+    rig._news = [TwinNews(50, *at_work, 1.0), TwinNews(200, *back, 0.0), TwinNews(250, *back, 0.0)]
+    assert rig.halted_again(killed_ns, 0.05) == Answer(200, "killed")
 
 
 def test_faults_that_are_not_known_are_refused() -> None:

@@ -78,8 +78,8 @@ class UrRig:
         return self._first(lambda: self._refusal_since(asked), within_s)
 
     def halted_again(self, injected: int, within_s: float) -> Answer | None:
-        """The first halt that a new driver process reports after an injection (ns)."""
-        dead = self._driver_pid
+        """The first halt that a new driver process reports after an injection (ns); it may have done so already."""
+        dead = self._driver_before(injected)
         return self._first(lambda: self._halt_since(injected, other_than=dead), within_s)
 
     def reason(self, injected: int) -> str | None:
@@ -130,7 +130,12 @@ class UrRig:
 
     @property
     def _driver_pid(self) -> int | None:
-        return next((news.driver_pid for news in reversed(self._news) if news.driver_pid is not None), None)
+        return self._driver_before(time.monotonic_ns())
+
+    def _driver_before(self, stamp: int) -> int | None:
+        """Process of the driver that was last told of before a time (ns)."""
+        told = (news.driver_pid for news in reversed(tuple(self._news)) if news.stamp < stamp)
+        return next((pid for pid in told if pid is not None), None)
 
     def _start_twin(self) -> None:
         context = multiprocessing.get_context("spawn")
