@@ -156,6 +156,15 @@ def test_a_log_is_followed_live_and_a_camera_left_out(cell_log: Callable[..., Pa
     assert bounced["growth_mb"] is not None
 
 
+def test_sets_per_second_are_those_of_the_time_that_they_took(cell_log: Callable[..., Path]) -> None:
+    """Nobody follows a log a thousand times as fast: thousands of sets per second were told."""
+    bench = run(cell_log(0.6), TrackBenchParameters(rate=1000.0, chain=SMALL))
+    followed = bench.followed
+    assert followed.sets > 1
+    assert followed.seconds >= sum(followed.updates_ms[1:]) / 1e3  # the first set is followed before the clock runs
+    assert bench.as_json()["rate_hz"] == followed.sets / followed.seconds
+
+
 @pytest.mark.parametrize("asked", [{"bounce": 2, "duration_s": 0.05}, {"duration_s": 0.1}])
 def test_a_short_run_does_not_say_that_memory_does_not_grow(
     cell_log: Callable[..., Path], asked: dict[str, float]

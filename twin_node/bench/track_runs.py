@@ -52,7 +52,8 @@ class Followed:
     sets: int = 0
     dropped: int = 0
     seconds: float = 0.0
-    """Length of the span in real time, wall-clock time in lockstep."""
+    """That the span took at the clock's rate, or until the last set had gone through, if that was later; in lockstep
+    wall-clock time."""
     latencies_ms: list[float] = field(default_factory=list)
     """From the newest image's stamp to the published cloud, by the run's clock; empty in lockstep."""
     offers_ms: list[float] = field(default_factory=list)
@@ -158,11 +159,13 @@ def follow_live(
         follow(first)
         followed.count(states[-1])
         _keep(spool, Tick(first, states[-1], published=published[-1]))
+        through = clock.now()
         reading.start(clock, bridge, offer)
         try:
             for _, frames in bridge.batches():
                 followed.waits_ms.append((clock.now() - frames.stamp) / (1e6 * rate))
                 follow(frames)
+                through = clock.now()
                 node.work_between_sets(lambda: not bridge.is_waiting)
                 followed.latencies_ms.append((published[-1] - frames.stamp) / (1e6 * rate))
                 followed.count(states[-1])
@@ -172,7 +175,7 @@ def follow_live(
         finally:
             bridge.close()
     followed.dropped = bridge.dropped
-    followed.seconds = session.span.seconds / rate
+    followed.seconds = max(session.span.seconds, (through - session.span.start_ns) * 1e-9) / rate
 
 
 def _keep(spool: Spool, tick: Tick) -> None:
