@@ -157,6 +157,15 @@ def test_scores_are_those_of_the_pixels(scene: MadeUp) -> None:
     assert scores.psnr_unchanged_db == pytest.approx(20, abs=0.01)
 
 
+@pytest.mark.parametrize("name", ["per_frame_3dgs", "streaming", "ours"])
+def test_a_method_that_learns_set_by_set_tells_of_every_set(scene: MadeUp, name: str) -> None:
+    """By that its costs are told apart: the second set's were taken for those of the first, which starts it."""
+    shares: list[float] = []
+    METHODS[name].fit(scene.recording, BUDGET, shares.append)
+    sets = len(scene.recording.sets())
+    assert shares == pytest.approx([number / sets for number in range(1, sets + 1)])
+
+
 def test_the_previous_image_is_no_rival_where_there_is_none(scene: MadeUp) -> None:
     """A camera's first image in its own place would be 100 dB."""
     recording = scene.recording

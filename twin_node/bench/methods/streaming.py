@@ -102,6 +102,7 @@ def fit_streaming(recording: Recording, budget: Budget, progress: Progress) -> F
     trainer = Trainer(alone, train_parameters(budget, "static", FIRST_STEPS * budget.stream_steps))
     while not trainer.finished:
         trainer.advance()
+    progress(1 / len(sets))
     base = Carried.of(trainer.model.gaussians)
     steps, bases, bytes_kept = [base.placed()], [base], 4 * trainer.model.parameters_count
     parameters = 0
