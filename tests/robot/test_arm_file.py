@@ -68,3 +68,27 @@ def test_what_xacro_has_expanded_may_speak_of_it_in_a_comment(tmp_path: Path) ->
     text = ROS_URDF.replace('<mesh filename="{mesh}"/>', box).replace("<joint", comment)
     (tmp_path / "arm.urdf").write_text(text)
     assert load_arm(tmp_path / "arm.urdf").joint_names == ("swing", "turn")
+
+
+FINGER = """
+  <link name="finger"><collision><geometry><box size="0.02 0.02 0.1"/></geometry></collision></link>
+  <joint name="grip" type="prismatic"><parent link="flange"/><child link="finger"/><axis xyz="0 1 0"/>
+    <limit {range} effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [('upper="0.1"', 'lower="0" upper="0.1"'), ('lower="-0.1"', 'lower="-0.1" upper="0"')],
+)
+def test_an_end_that_a_urdf_does_not_give_is_0(tmp_path: Path, given: str, meant: str) -> None:
+    """Such a finger stayed where the file draws it, and opened out of what enclosed it; such a hinge had no ends."""
+    arms = []
+    for ends in (given, meant):
+        text = ROS_URDF.replace('<mesh filename="{mesh}"/>', '<box size="0.1 0.1 0.4"/>')
+        text = text.replace('lower="-2" upper="2"', ends).replace("</robot>", FINGER.replace("{range}", ends))
+        (tmp_path / "arm.urdf").write_text(text)
+        arms.append(load_arm(tmp_path / "arm.urdf", ("swing", "turn")))
+    found, expected = arms
+    assert np.ptp(expected.capsules.ends[-1], axis=0).max() > 0.05
+    np.testing.assert_allclose(found.capsules.ends, expected.capsules.ends)
+    np.testing.assert_allclose([found.lower, found.upper], [expected.lower, expected.upper])

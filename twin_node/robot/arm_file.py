@@ -27,8 +27,11 @@ def compiled(path: str | Path) -> Any:
     does not read, one that xacro has still to expand, and a package that is not found.
     """
     try:
-        _refuse_xacro(path)
+        content = _COMMENT.sub(b"", Path(path).read_bytes())
+        _refuse_xacro(path, content)
         spec = mujoco.MjSpec.from_file(str(path))
+        if b"<robot" in content:
+            _complete_ranges(spec)
         spec.compiler.fusestatic = False  # a URDF's base would become part of the world
         spec.compiler.balanceinertia = True
         spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
@@ -40,10 +43,17 @@ def compiled(path: str | Path) -> Any:
         raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
 
 
-def _refuse_xacro(path: str | Path) -> None:
+def _refuse_xacro(path: str | Path, content: bytes) -> None:
     """What xacro would put in its place MuJoCo passes over: an arm without its gripper, or none."""
-    if Path(path).suffix == ".xacro" or b"<xacro:" in _COMMENT.sub(b"", Path(path).read_bytes()):
+    if Path(path).suffix == ".xacro" or b"<xacro:" in content:
         raise RobotError(f"{path}: expected a URDF, found one that xacro has to expand: xacro {path} > arm.urdf")
+
+
+def _complete_ranges(spec: Any) -> None:
+    """Takes an end of a URDF's joint that is not given for 0, as URDF says; MuJoCo takes the joint for endless."""
+    for joint in spec.joints:
+        if joint.limited == mujoco.mjtLimited.mjLIMITED_FALSE and joint.range[0] < joint.range[1]:
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
 
 
 def _found(path: str | Path, mesh: str) -> str:
