@@ -58,6 +58,31 @@ def test_a_graph_does_without_shared_memory_where_there_is_none(
     assert found == ["true", "true", "false", "false"]
 
 
+def test_what_the_environment_sets_counts_as_for_other_ros_nodes(
+    usual: ZenohParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A twin beside nodes that were led to another machine's router by it looked for one on its own machine."""
+    there = ZenohParameters(router="builtin", endpoint=free_endpoint(), domain=0)
+    router = open_router(there)
+    assert router is not None
+    with contextlib.closing(router):
+        monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'mode="client"; connect/endpoints=["{there.endpoint}"];')
+        for opened in (open_client(usual), zenoh_session.open_session(usual), open_router(usual)):
+            assert opened is not None
+            with contextlib.closing(opened):
+                assert opened.info.routers_zid() == [router.info.zid()]
+    with pytest.raises(WireError, match=r"^ZENOH_CONFIG_OVERRIDE: expected a zenoh router there"):
+        open_client(usual)
+
+
+@pytest.mark.parametrize("odd", ["mode", "no/such/key=1", "connect/endpoints=tcp/10.0.0.2:7447"])
+def test_what_zenoh_does_not_know_is_named(usual: ZenohParameters, monkeypatch: pytest.MonkeyPatch, odd: str) -> None:
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'mode="peer";{odd}')
+    for opens in (zenoh_session.open_session, open_router):
+        with pytest.raises(WireError, match=f"^ZENOH_CONFIG_OVERRIDE: expected keys.*, found {odd} "):
+            opens(usual)
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_one_on_loopback_listens_where_it_is_told_alone(usual: ZenohParameters, host: str) -> None:
     elsewhere = ZenohParameters(router="builtin", endpoint=free_endpoint().replace("127.0.0.1", host), domain=0)

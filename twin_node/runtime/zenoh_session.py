@@ -21,6 +21,8 @@ ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 SESSION_CONFIG_VARIABLE = "ZENOH_SESSION_CONFIG_URI"
 ROUTER_CONFIG_VARIABLE = "ZENOH_ROUTER_CONFIG_URI"
 """Names of zenoh's own configuration files, as rmw_zenoh reads them."""
+OVERRIDE_VARIABLE = "ZENOH_CONFIG_OVERRIDE"
+"""Values in place of single ones of these files and of ours, as rmw_zenoh takes them: `key=value;key=value`."""
 SHARED_MEMORY = "/dev/shm"
 """Where Linux has shared memory."""
 QUEUED_BATCHES = 16
@@ -118,8 +120,9 @@ def open_client(parameters: ZenohParameters) -> Any:
     except _zenoh().ZError as error:
         reason = f" ({_one_line(error)})"
     if session is None or not session.info.routers_zid():
+        where = OVERRIDE_VARIABLE if os.environ.get(OVERRIDE_VARIABLE) else parameters.endpoint
         raise NoRouterError(
-            f"{parameters.endpoint}: expected a zenoh router there, or a place where one can be started, found "
+            f"{where}: expected a zenoh router there, or a place where one can be started, found "
             f"neither{reason}: what listens is no zenoh router, or the address is wrong; end it, or correct the "
             "address (launch: zenoh: {endpoint})"
         )
@@ -134,7 +137,7 @@ def open_router(parameters: ZenohParameters) -> Any | None:
     if parameters.router == "external":
         return None
     path = parameters.router_config or os.environ.get(ROUTER_CONFIG_VARIABLE, "")
-    config = _from_file(path) if path else _router_config(parameters)
+    config = _overridden(_from_file(path) if path else _router_config(parameters))
     try:
         return _open(config)
     except WireError:
@@ -163,7 +166,7 @@ def _open(config: Any) -> Any:
 
 def _given_session_config(parameters: ZenohParameters) -> Any:
     path = parameters.config or os.environ.get(SESSION_CONFIG_VARIABLE, "")
-    return _from_file(path) if path else _session_config(parameters)
+    return _overridden(_from_file(path) if path else _session_config(parameters))
 
 
 def _from_file(path: str) -> Any:
@@ -172,6 +175,20 @@ def _from_file(path: str) -> Any:
         return zenoh.Config.from_file(str(Path(path)))
     except zenoh.ZError as error:
         raise WireError(f"{path}: not a zenoh configuration ({_one_line(error)}); see zenoh's DEFAULT_CONFIG") from None
+
+
+def _overridden(config: Any) -> Any:
+    """A configuration with what the environment says in place of its own values."""
+    for pair in filter(str.strip, os.environ.get(OVERRIDE_VARIABLE, "").split(";")):
+        key, _, value = pair.partition("=")
+        try:
+            config.insert_json5(key.strip(), value)
+        except _zenoh().ZError as error:
+            raise WireError(
+                f"{OVERRIDE_VARIABLE}: expected keys of zenoh's configuration and their values, as in "
+                f'connect/endpoints=["{ROUTER_ENDPOINT}"];mode="client", found {pair.strip()} ({_one_line(error)})'
+            ) from None
+    return config
 
 
 def _session_config(parameters: ZenohParameters) -> Any:
