@@ -288,8 +288,16 @@ def test_records_stay_at_home(wires: tuple[ZenohWire, ZenohWire]) -> None:
     assert not there.executor.step(0.0)
 
 
-def test_humble_is_spoken_to_without_hashes(zenoh_router: ZenohParameters) -> None:
-    humble = ZenohWire(ZenohParameters("external", zenoh_router.endpoint, ros_distro="humble", domain=0))
+@pytest.mark.parametrize(("given", "sourced"), [("humble", None), ("humble", "jazzy"), (None, "humble")])
+def test_humble_is_spoken_to_without_hashes(
+    zenoh_router: ZenohParameters, monkeypatch: pytest.MonkeyPatch, given: str | None, sourced: str | None
+) -> None:
+    """Commands, which have no launch file to say so in, did not hear it: `ROS_DISTRO` says so where ROS is sourced."""
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    if sourced is not None:
+        monkeypatch.setenv("ROS_DISTRO", sourced)
+    assert ZenohParameters().speaks_hashes == (sourced != "humble")
+    humble = ZenohWire(ZenohParameters("external", zenoh_router.endpoint, ros_distro=given, domain=0))
     old = Side(humble, "old")
     old.listen("/chatter")
     for _ in range(ATTEMPTS):

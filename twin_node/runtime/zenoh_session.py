@@ -33,6 +33,8 @@ WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
 _HOST_AND_PORT = re.compile(r"(\[[^]]+\]|[^][:]+):(?P<port>[0-9]+)")
 """An IPv6 address stands in brackets: without them its last part would be taken for the port."""
 _SOURCE_PLACE = re.compile(r"[.!\s]*\bat \S+\.rs:\d+\.?")
+DISTRIBUTION_VARIABLE = "ROS_DISTRO"
+"""Set where a ROS 2 install has been sourced."""
 DISTRIBUTIONS = ("humble", "jazzy", "kilted", "lyrical", "rolling")
 """Distributions of ROS 2 whose wire format is spoken."""
 
@@ -63,15 +65,15 @@ class ZenohParameters:
     """ROS domain; None: `ROS_DOMAIN_ID`, or 0."""
     namespace: str = ROOT
     """Of this process's nodes and of their topics; `/cell` has `/cell/twin` and `/cell/twin/obstacles`."""
-    ros_distro: str = "jazzy"
-    """Whose wire format is spoken: humble knows no type hashes, all later ones do."""
+    ros_distro: str | None = None
+    """Whose wire format is spoken: humble knows no type hashes, all later ones do; None: that of `ROS_DISTRO`."""
     shared_memory: bool = True
     """Whether images go between processes of one host through shared memory, if there is any."""
 
     def __post_init__(self) -> None:
         if self.router not in ("auto", "builtin", "external"):
             raise WireError(f"zenoh router: expected auto, builtin or external, found '{self.router}'")
-        if self.ros_distro not in DISTRIBUTIONS:
+        if self.ros_distro not in (None, *DISTRIBUTIONS):
             raise WireError(f"ros_distro: expected one of {', '.join(DISTRIBUTIONS)}, found '{self.ros_distro}'")
         if not is_namespace(self.namespace):
             raise WireError(
@@ -83,7 +85,7 @@ class ZenohParameters:
     @property
     def speaks_hashes(self) -> bool:
         """Whether keys and tokens hold the hashes of types."""
-        return self.ros_distro != "humble"
+        return (self.ros_distro or os.environ.get(DISTRIBUTION_VARIABLE)) != "humble"
 
     def spoken(self, type_hash: str) -> str:
         """What stands for a type's hash in keys and tokens."""

@@ -203,7 +203,7 @@ def _type_fault(topic: str, ends: Sequence[Endpoint]) -> str | None:
     names = "; ".join(sorted(f"{_node(e)}: {e.msgtype} {e.type_hash[:15]}" for e in ends))
     is_humble = any(e.type_hash == HUMBLE_HASH for e in ends)
     why = "ros_distro differs" if is_humble else "their types differ"
-    advice = "set launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
+    advice = "set ROS_DISTRO, or launch: zenoh: {ros_distro}" if is_humble else "build them from the same definitions"
     return f"{topic}: {why}, so they do not hear each other ({names}); {advice}"
 
 
