@@ -186,7 +186,7 @@ def test_a_recording_of_more_files_than_a_process_may_open_is_read(tmp_path: Pat
 
 
 def test_what_to_do_is_told_where_no_more_files_may_be_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path) -> None:
+    def refuse(*_: Path) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     with RecordingWriter(tmp_path / "run.mcap") as writer:

@@ -10,6 +10,7 @@ import pytest
 from made_recordings import STEP, STRING, fill, stamps_of, text
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
+from zstandard import ZstdCompressor
 
 from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log, recording
 from twin_node.bag.qos import profile
@@ -60,6 +61,39 @@ def test_a_bag_whose_recorder_never_wrote_its_metadata_is_repaired_by_its_number
     (tmp_path / "run" / "run_1.mcap").rename(tmp_path / "run" / "other.mcap")
     with pytest.raises(BagError, match=r"no metadata.yaml in this folder; give one of its files \(other.mcap\)"):
         open_log(tmp_path / "run")
+
+
+def test_files_that_a_recorder_had_compressed_before_it_was_killed_are_repaired_too(tmp_path: Path) -> None:
+    """rosbag2 compresses one when it begins the next: those were passed over, and the last one was offered alone."""
+    record_in_parts(tmp_path / "run")
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    whole = {number: tmp_path / "run" / f"run_{number}.mcap" for number in range(2)}
+    for path in whole.values():
+        path.with_name(f"{path.name}.zstd").write_bytes(ZstdCompressor().compress(path.read_bytes()))
+    first = stamps_of(whole[0])
+    whole[0].unlink()
+    packed = whole[1].with_name("run_1.mcap.zstd")  # of this one it was not done
+    packed.write_bytes(packed.read_bytes()[:20])
+    assert repair(tmp_path / "run", tmp_path / "whole").damage is None
+    assert stamps_of(tmp_path / "whole") == [i * STEP for i in range(1, 30)]
+    assert stamps_of(tmp_path / "run" / "run_0.mcap.zstd") == first
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
+def test_a_compressed_file_that_is_cut_short_is_told_by_its_own_name(tmp_path: Path, share: float) -> None:
+    """It was told by that of a copy which is gone again."""
+    path = tmp_path / "log.mcap.zstd"
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for number in range(500):
+            log.write("/text", message_type(STRING)(data=os.urandom(4000).hex()), number * STEP)
+    packed = ZstdCompressor().compress((tmp_path / "log.mcap").read_bytes())
+    path.write_bytes(packed[: max(20, round(share * len(packed)))])
+    try:
+        with open_log(path) as log_read:
+            said = log_read.damage
+    except BagError as error:
+        said = str(error)
+    assert said is not None and said.startswith(f"{path}: ") and "twin_node_" not in said
 
 
 @pytest.mark.parametrize("metadata", [b"", b"rosbag2_bagfile_information: {", b"\0" * 500])

@@ -35,18 +35,29 @@ class Compression(Enum):
         return compression
 
 
+MAGIC = b"\x28\xb5\x2f\xfd"
+"""What a file that zstd has compressed begins with."""
+
+
+def plain_name(name: str) -> str:
+    """Name of a file before it was compressed."""
+    return name.removesuffix(".zstd").removesuffix(".zst")
+
+
 @contextlib.contextmanager
 def unpacked(path: Path, compression: Compression) -> Iterator[Path]:
     """Path of the file as storages read it; of a compressed one, a copy that goes when it has been opened.
 
-    Raises `BagError` where it cannot be decompressed, or the copy cannot be written; `OSError` as `open` does.
+    Whether it is compressed its first bytes tell, too: of a recorder that was killed no metadata do. Raises `BagError`
+    where it cannot be decompressed, or the copy cannot be written; `OSError` as `open` does.
     """
-    if compression is not Compression.FILE:
+    with path.open("rb") as file:
+        is_packed = compression is Compression.FILE or file.read(len(MAGIC)) == MAGIC
+    if not is_packed:
         yield path
         return
-    plain_name = path.name.removesuffix(".zstd").removesuffix(".zst")
     with tempfile.TemporaryDirectory(prefix="twin_node_") as folder:
-        plain = Path(folder) / plain_name
+        plain = Path(folder) / plain_name(path.name)
         with path.open("rb") as packed:
             try:
                 with plain.open("wb") as out:
@@ -58,6 +69,8 @@ def unpacked(path: Path, compression: Compression) -> Iterator[Path]:
                     f"{path}: cannot be decompressed into {tempfile.gettempdir()} ({error.strerror}); free space "
                     "there, or set TMPDIR to a folder that has it"
                 ) from None
+        if not plain.stat().st_size:
+            raise BagError(f"{path}: cannot be decompressed (it is empty or cut short); copy the bag again")
         yield plain
 
 

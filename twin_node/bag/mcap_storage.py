@@ -77,8 +77,10 @@ class _Index:
 class McapStorage:
     """An MCAP file. Raises `BagError` where no message can be read."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, told: Path | None = None) -> None:
+        """`told`: what messages to people call the file, where that is not `path`."""
         self._path = path
+        self._told = told or path
         self._file: BinaryIO = path.open("rb")
         self._damage: str | None = None
         try:
@@ -149,7 +151,7 @@ class McapStorage:
             ]
         except (*DAMAGED, OSError) as error:
             raise DamageError(
-                f"{self._path}: damaged at byte {part.offset} ({damage_in_words(error)}); read up to it"
+                f"{self._told}: damaged at byte {part.offset} ({damage_in_words(error)}); read up to it"
             ) from None
         wanted = records if topics is None else [record for record in records if record.topic in topics]
         yield from sorted(wanted, key=lambda record: record.stamp)
@@ -246,12 +248,12 @@ class McapStorage:
             else:
                 raise EOFError
         except DAMAGED as error:
-            damage.append(f"{self._path}: damaged at byte {start} of {size} ({damage_in_words(error)}); read up to it")
+            damage.append(f"{self._told}: damaged at byte {start} of {size} ({damage_in_words(error)}); read up to it")
         if index.nameless:
             count = sum(index.counts[channel] for channel in index.nameless)
-            damage.append(f"{self._path}: {count} messages of topics that nothing undamaged names; read without them")
+            damage.append(f"{self._told}: {count} messages of topics that nothing undamaged names; read without them")
         if damage and not index.channels.keys() & index.counts.keys():
-            where = f"{self._path}: damaged at {index.damage[0]}" if index.damage else damage[0].rpartition(";")[0]
+            where = f"{self._told}: damaged at {index.damage[0]}" if index.damage else damage[0].rpartition(";")[0]
             raise BagError(f"{where}; no message could be read, record it again")
         self._damage = " | ".join(damage) or None
         return index

@@ -13,7 +13,7 @@ from typing import Any
 from rosbags.interfaces import Qos
 
 from twin_node.bag import mcap_records, open_files, sqlite_storage
-from twin_node.bag.compression import Compression, UnpackedMessages, unpacked
+from twin_node.bag.compression import Compression, UnpackedMessages, plain_name, unpacked
 from twin_node.bag.folder_metadata import METADATA_FILE
 from twin_node.bag.log import BagError, DamageError, LogMessage, Part, Record, Storage, Topic
 from twin_node.bag.log_times import NO_START, NO_STOP, within
@@ -237,7 +237,7 @@ def open_log(path: Path | str, *, unfinished: bool = False) -> LogReader:
 
 def _open_folder(folder: Path, unfinished: bool) -> LogReader:
     file = folder / METADATA_FILE
-    logs = sorted(entry.name for entry in folder.iterdir() if entry.suffix in (".mcap", ".db3"))
+    logs = _logs_of(folder)
     if not file.is_file() and _is_bag(logs):
         if unfinished:
             return _open_numbered(folder, logs)
@@ -266,6 +266,13 @@ def _open_folder(folder: Path, unfinished: bool) -> LogReader:
     return _open_files(folder, there, information.records, information.compression, [lost] if missing else [])
 
 
+def _logs_of(folder: Path) -> list[str]:
+    """Names of a folder's logs; of one that is there compressed and plain, the plain one's: that is whole."""
+    names = sorted((entry.name for entry in folder.iterdir()), key=len, reverse=True)
+    found = {plain_name(name): name for name in names if Path(plain_name(name)).suffix in (".mcap", ".db3")}
+    return sorted(found.values())
+
+
 def _open_numbered(folder: Path, names: Sequence[str], *lost: str) -> LogReader:
     """The files of a recording of which no metadata tells."""
     return _open_files(folder, [folder / name for name in sorted(names, key=_number)], {}, lost=lost)
@@ -285,7 +292,7 @@ def _repairing(folder: Path) -> str:
 
 def _is_bag(names: Sequence[str]) -> bool:
     """Whether these are the files of one recording, numbered from 0: rosbag2 writes its metadata at the very end."""
-    parts = [name.rpartition(".")[0].rpartition("_") for name in names]
+    parts = [plain_name(name).rpartition(".")[0].rpartition("_") for name in names]
     numbers = sorted(number for _, _, number in parts)
     return (
         bool(parts) and len({stem for stem, _, _ in parts}) == 1 and "0" in numbers and all(map(str.isdecimal, numbers))
@@ -293,7 +300,7 @@ def _is_bag(names: Sequence[str]) -> bool:
 
 
 def _number(name: str) -> int:
-    return int(name.rpartition(".")[0].rpartition("_")[2])
+    return int(plain_name(name).rpartition(".")[0].rpartition("_")[2])
 
 
 @dataclass(frozen=True)
@@ -356,7 +363,7 @@ def _open_files(
         for file in files:
             try:
                 with unpacked(file, compression) as plain:
-                    storages.append(_open_file(plain))
+                    storages.append(_open_file(plain, file))
             except BagError as error:
                 refused.append(error)
         if refused and not storages:
@@ -371,18 +378,19 @@ def _open_files(
         raise
 
 
-def _open_file(path: Path) -> Storage:
+def _open_file(path: Path, told: Path) -> Storage:
+    """`told`: what messages to people call the file."""
     with path.open("rb") as file:
         head = file.read(len(sqlite_storage.MAGIC))
     if head.startswith(mcap_records.MAGIC):
-        return McapStorage(path)
+        return McapStorage(path, told)
     if head == sqlite_storage.MAGIC:
-        return SqliteStorage(path)
+        return SqliteStorage(path, told)
     if head.startswith(ROS1_MAGIC):
         raise BagError(
-            f"{path}: expected a log of ROS 2, found a bag of ROS 1; convert it: rosbags-convert --src {path} --dst OUT"
+            f"{told}: expected a log of ROS 2, found a bag of ROS 1; convert it: rosbags-convert --src {told} --dst OUT"
         )
     if head[8:].startswith(SAFETENSORS_HEADER):
-        raise BagError(f"{path}: expected a log, found a model; make a log of it: twin_node import model {path} -o OUT")
+        raise BagError(f"{told}: expected a log, found a model; make a log of it: twin_node import model {told} -o OUT")
     found = f"a file that begins with {head[:8]!r}" if head else "an empty file"
-    raise BagError(f"{path}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")
+    raise BagError(f"{told}: expected an MCAP or rosbag2 SQLite log, found {found}; check the path")

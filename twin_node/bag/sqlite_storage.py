@@ -24,8 +24,10 @@ URI_SIGNS = frozenset("?#%")
 class SqliteStorage:
     """A `.db3` file. Raises `BagError` if it is damaged from the start or not a rosbag2 file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, told: Path | None = None) -> None:
+        """`told`: what messages to people call the file, where that is not `path`."""
         self._path = path
+        self._told = told or path
         try:
             with _plainly_named(path) as plain, _known_definitions():
                 self._reader = Reader(plain)
@@ -35,7 +37,7 @@ class SqliteStorage:
             raise
         except Exception as error:  # names and policies that are none are met in rosbags, SQLite and the YAML parser
             reason = " ".join(str(error).split())
-            raise BagError(f"{path}: not a readable rosbag2 SQLite file ({reason}); record it again") from None
+            raise BagError(f"{self._told}: not a readable rosbag2 SQLite file ({reason}); record it again") from None
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -104,13 +106,13 @@ class SqliteStorage:
             except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
                 reason = " ".join(str(error).split())
                 raise DamageError(
-                    f"{self._path}: damaged after the message at {stamp} ns ({reason}); read up to it"
+                    f"{self._told}: damaged after the message at {stamp} ns ({reason}); read up to it"
                 ) from None
             found += 1
             yield Record(connection.topic, connection.msgtype, stamp, data, stamp, connection.msgdef.data)
         count = sum(connection.msgcount for connection in wanted)
         if is_all and found < count:
-            raise DamageError(f"{self._path}: damaged, its index of times leads to {found} of {count} messages")
+            raise DamageError(f"{self._told}: damaged, its index of times leads to {found} of {count} messages")
 
     def close(self) -> None:
         """Releases the file."""
