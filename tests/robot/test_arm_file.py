@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twin_node.errors import TwinWarning
 from twin_node.robot import RobotError
 from twin_node.robot.mjcf import load_arm
 
@@ -92,3 +94,31 @@ def test_an_end_that_a_urdf_does_not_give_is_0(tmp_path: Path, given: str, meant
     assert np.ptp(expected.capsules.ends[-1], axis=0).max() > 0.05
     np.testing.assert_allclose(found.capsules.ends, expected.capsules.ends)
     np.testing.assert_allclose([found.lower, found.upper], [expected.lower, expected.upper])
+
+
+BASE = """<link name="world"/><link name="base_link"/><joint name="stand" type="fixed"><parent link="world"/>
+  <child link="base_link"/><origin xyz="{}" rpy="{}"/></joint><joint name="mount" type="fixed">
+  <parent link="base_link"/><child link="base"/></joint><link name="base"/>"""
+
+
+@pytest.mark.parametrize(
+    ("place", "turn", "said"),
+    [
+        ("0 0 0.8", "0 0 0", "0.80 m and 0 degrees"),
+        ("0 0 0", "3.1416 0 0", "0.00 m and 180 degrees"),
+        ("0 0 0", "0 0 0", None),
+    ],
+)
+def test_a_base_that_is_not_where_the_files_world_is_is_told(
+    tmp_path: Path, place: str, turn: str, said: str | None
+) -> None:
+    """By TF that is where cameras are from: the arm on a table was looked for, and judged, as much too high."""
+    text = ROS_URDF.replace('<mesh filename="{mesh}"/>', '<box size="0.1 0.1 0.4"/>')
+    (tmp_path / "arm.urdf").write_text(text.replace('<link name="base"/>', BASE.format(place, turn)))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert load_arm(tmp_path / "arm.urdf").joint_names == ("swing", "turn")
+    assert [str(one.message).count(f"link base_link is {said} from the file's world") for one in told] == [1] * bool(
+        said
+    )
+    assert all(one.category is TwinWarning for one in told)

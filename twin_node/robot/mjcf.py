@@ -5,6 +5,7 @@ The shipped files are made from the DH parameters by `write_mjcf(ur_model(name))
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.errors import TwinWarning
 from twin_node.geometry import inverse_pose, pose, quat_from_rotation, transform
 from twin_node.robot.arm_file import compiled
 from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
@@ -31,6 +33,10 @@ _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 TOOL = "tool0"
 """Frame of tools: so ROS calls it, and many files."""
+BASE = "base_link"
+"""Frame that cameras' poses are in, and many files' name for what the arm stands on."""
+_ONE_PLACE = 1e-3
+"""Two frames that differ by less, m and rad, are one."""
 _CAPSULES_PER_MESH = 2
 _BARE_M = 0.1
 """A link as long as this, m, has a shape."""
@@ -93,6 +99,7 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     data = mujoco.MjData(engine)
     data.qpos[engine.jnt_qposadr[joints]] = 0.0  # the file draws a joint with a `ref` at that angle
     mujoco.mj_kinematics(engine, data)
+    _heed_base(engine, data, path)
     frames = np.stack([np.eye(4), *(_joint_frame(engine, data, joint) for joint in joints)])
     limited = engine.jnt_limited[joints].astype(bool)
     lower = np.where(limited, engine.jnt_range[joints, 0], -np.inf)
@@ -219,6 +226,24 @@ def _joint_frame(engine: Any, data: Any, joint: int) -> Float64:
     body = int(engine.jnt_bodyid[joint])
     turn, _ = Rotation.align_vectors([engine.jnt_axis[joint]], [[0.0, 0.0, 1.0]])
     return pose(data.xmat[body].reshape(3, 3) @ turn.as_matrix(), data.xanchor[joint])
+
+
+def _heed_base(engine: Any, data: Any, path: str | Path) -> None:
+    """Warns where cameras' poses and the arm's would be in two frames of one name: on a table, or hung."""
+    body = mujoco.mj_name2id(engine, mujoco.mjtObj.mjOBJ_BODY, BASE)
+    if body < 0 or not _is_fixed(engine, body):
+        return
+    R, place = data.xmat[body].reshape(3, 3), data.xpos[body]
+    angle = float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+    if np.abs(place).max() < _ONE_PLACE and angle < _ONE_PLACE:
+        return
+    warnings.warn(
+        f"{path}: link {BASE} is {np.linalg.norm(place):.2f} m and {np.degrees(angle):.0f} degrees from the file's "
+        f"world, which the twin takes for the frame {BASE} that cameras' poses are in; have it at the file's root, or "
+        "call it otherwise where that is meant",
+        TwinWarning,
+        stacklevel=3,
+    )
 
 
 def _tool(engine: Any, data: Any, last: int, frame: Float64) -> Float64:
