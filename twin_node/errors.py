@@ -67,3 +67,8 @@ def repeated(value: object) -> str:
     except ValueError:  # in hexadecimal, numbers may be longer than Python says in decimal
         return "a number of thousands of digits"
     return text if len(text) <= MOST_SIGNS else f"{text[:MOST_SIGNS]} ..."
+
+
+def several(count: int, what: str) -> str:
+    """So many of something: 1 set, 2 sets."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

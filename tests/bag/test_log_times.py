@@ -22,7 +22,7 @@ from twin_node.messages.stamps import to_time
 STRING = "std_msgs/msg/String"
 LAST = 2**63 - 1
 START = 1_700_000_000_000_000_000
-OUTSIDE = f"/text: 1 messages of {STRING} at log times that cannot be; expected 0 to 2^63 - 1 ns"
+OUTSIDE = f"/text: 1 message of {STRING} at log times that cannot be; expected 0 to 2^63 - 1 ns"
 
 
 def text(words: str) -> bytes:
@@ -100,9 +100,7 @@ def test_a_message_beyond_is_told_and_the_rest_is_as_if_it_were_not_there(
 
 def test_a_log_of_nothing_else_is_refused(tmp_path: Path) -> None:
     path = foreign(tmp_path / "log.mcap", [2**64 - 1])
-    with pytest.raises(
-        BagError, match=r"the log holds no messages \(/text: 1 messages .* cannot be.*; record it again"
-    ):
+    with pytest.raises(BagError, match=r"the log holds no messages \(/text: 1 message .* cannot be.*; record it again"):
         open_log(path)
 
 

@@ -57,8 +57,8 @@ def add_another_type(writer: Writer) -> None:
 @pytest.mark.parametrize(
     ("add", "line"),
     [
-        (add_json, "/notes: 1 messages in json; expected cdr"),
-        (add_another_type, f"/text: 1 messages of {EMPTY}; {COUNT} are of {STRING}"),
+        (add_json, "/notes: 1 message in json; expected cdr"),
+        (add_another_type, f"/text: 1 message of {EMPTY}; {COUNT} are of {STRING}"),
     ],
 )
 def test_what_cannot_be_read_beside_the_rest_is_left_out_and_told(
@@ -132,7 +132,7 @@ def test_a_log_that_names_no_topic_is_refused(tmp_path: Path) -> None:
         writer._Writer__statistics.channel_message_counts[7] = 0
         writer.add_message(7, START, text(0), START)
         writer.finish()
-    with pytest.raises(BagError, match="1 messages of topics that nothing undamaged names; no message could be read"):
+    with pytest.raises(BagError, match="1 message of topics that nothing undamaged names; no message could be read"):
         open_log(tmp_path / "log.mcap")
 
 

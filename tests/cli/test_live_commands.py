@@ -249,7 +249,7 @@ def test_check_names_what_is_wrong(cell_log: Callable[..., Path], capsys: pytest
     assert main(["check", str(cell_log(1.2, *faults)), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     said = {topic["name"]: " ".join(topic["faults"]) for topic in found["topics"]}
-    assert "gaps" in said["/cam_left/image_raw/compressed"]
+    assert "1 gap," in said["/cam_left/image_raw/compressed"]
     assert said["/cam_back/depth/image_rect"] == "no depth is known in any image that was looked at"
     assert "run backwards" in said["/cam_front/image_raw/compressed"]
     assert said["/joint_states"] == ""

@@ -171,7 +171,7 @@ def test_messages_that_cannot_be_read_are_told(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
     found = examine(DamagedCamera(), 0.05)
     assert any(
-        "/a/image_raw: 1 messages cannot be read, the last: sensor_msgs/msg/Image: 5 bytes" in f for f in found.faults
+        "/a/image_raw: 1 message cannot be read, the last: sensor_msgs/msg/Image: 5 bytes" in f for f in found.faults
     )
 
 

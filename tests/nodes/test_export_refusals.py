@@ -92,7 +92,7 @@ def test_topics_that_nobody_reads_are_told_once(
     monkeypatch.setattr("twin_node.cli.replay._run", lambda *_: None)
     twin, cell = with_notes(twin_log, tmp_path / "twin.mcap"), with_notes(cell_log(0.5), tmp_path / "cell.mcap")
     assert run(twin, "--to", "ply", "--at", 0, "-o", tmp_path / "a.ply") == 0
-    told = ": not read: /notes: 1 messages in json; expected cdr\n"
+    told = ": not read: /notes: 1 message in json; expected cdr\n"
     assert capsys.readouterr().err == f"twin_node: warning: {twin}{told}"
     assert main(["replay", str(cell)]) == 0
     assert capsys.readouterr().err == f"twin_node: warning: {cell}{told}"

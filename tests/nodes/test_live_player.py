@@ -267,7 +267,7 @@ def test_a_topic_in_another_encoding_is_left_out_and_told(
     theatre = Theatre(noted)
     theatre.play()
     assert len(theatre.heard) == 20
-    assert "not played: /notes: 1 messages in json; expected cdr" in capsys.readouterr().out
+    assert "not played: /notes: 1 message in json; expected cdr" in capsys.readouterr().out
     Theatre(noted, topics=("/a",))
     assert "not played" not in capsys.readouterr().out
 

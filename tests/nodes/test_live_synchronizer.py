@@ -206,7 +206,7 @@ def test_a_spoilt_image_that_leaves_by_the_timer_ends_nothing(cell: Cell) -> Non
     assert due is not None
     cell._pass_time(due)
     assert [[view.camera.name for view in frames.views] for frames in cell.sets[before:]] == [["back"]]
-    assert "unusable: 1 images" in cell.said()["left"][1]
+    assert "unusable: 1 image" in cell.said()["left"][1]
 
 
 def test_a_camera_at_half_rate_is_named(cell: Cell) -> None:
@@ -282,7 +282,7 @@ def test_duplicates_are_counted_and_named(cell: Cell) -> None:
     cell.run(SECOND, 3)
     image = convert.raw_image("left", START + (SECOND + 2) * PERIOD + 2 * MS, np.zeros((12, 16, 3), np.uint8))
     cell.bus.publish(cell.topics["left"].image, image)
-    assert "duplicate: 1 images" in cell.said()["left"][1]
+    assert "duplicate: 1 image" in cell.said()["left"][1]
 
 
 def test_of_two_images_with_one_stamp_the_first_is_shown_as_in_lockstep(cell: Cell) -> None:

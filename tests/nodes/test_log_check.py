@@ -213,7 +213,7 @@ def test_joints_that_are_not_finite_are_found_wherever_they_are(tmp_path: Path, 
             positions = np.array([wrong if k == at else 1.0])
             log.write("/joint_states", joints(START + k * PERIOD, positions), START + k * PERIOD)
     (topic,) = checked(path).topics
-    assert topic.faults == ("1 messages with positions that are not finite",)
+    assert topic.faults == ("1 message with positions that are not finite",)
 
 
 URDF = """<robot name="r"><link name="base_link"/><link name="a"/><link name="b"/><link name="c"/>
@@ -287,7 +287,7 @@ def test_an_arm_and_its_gripper_on_one_topic_are_judged_each_by_itself(tmp_path:
             log.write("/joint_states", joints(stamp + behind_s * 1000 * MS, np.zeros(1), name), stamp)
     [topic] = checked(tmp_path / "log.mcap").topics
     assert topic.faults == (
-        "finger: 1 gaps, the longest 80 ms",
+        "finger: 1 gap, the longest 80 ms",
         "finger: stamped 2.0 s before the time of recording: another clock",
     )
     assert topic.statistics.count == len(said) and topic.statistics.rate_hz == pytest.approx(125)

@@ -169,7 +169,7 @@ def test_a_page_says_how_much_of_a_long_run_was_scored(seconds: int, is_told: bo
         run = replace(short_run(), spool=spool)
         assert figures_of(run, Quality(), {}, Foresight(), 0)["scored"] == 1
         lead = _lead(cast(LogSession, session), run)
-    assert ("scored on 1 sets, in blocks of a second" in lead) is is_told
+    assert ("scored on 1 set, in blocks of a second" in lead) is is_told
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])

@@ -19,7 +19,7 @@ def test_a_clock_that_was_set_back_once_is_no_jitter() -> None:
     """As one that was set ahead is a gap: the stream is as regular before and behind as any."""
     found = statistics_of([*regular(50), *regular(50, START - 3_000 * MS)])
     assert (found.backwards, found.gaps, found.jitter_ms) == (1, 0, 0.0)
-    assert faults_of(found) == ("1 stamps run backwards",)
+    assert faults_of(found) == ("1 stamp runs backwards",)
 
 
 def test_stamps_that_go_to_and_fro_do_not_stand() -> None:

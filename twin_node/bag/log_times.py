@@ -9,6 +9,7 @@ from numbers import Integral
 from pathlib import Path
 
 from twin_node.bag.log import BagError, DamageError, Part
+from twin_node.errors import several
 
 NO_START, NO_STOP = 0, 2**63
 """Bounds in ns that every log time lies within, from the first on and before the second."""
@@ -40,7 +41,7 @@ class Within:
     def lines(self) -> tuple[str, ...]:
         """What is outside, a line per topic and type."""
         return tuple(
-            f"{topic}: {count} messages of {msgtype} at log times that cannot be; expected {RANGE}"
+            f"{topic}: {several(count, 'message')} of {msgtype} at log times that cannot be; expected {RANGE}"
             for (topic, msgtype), count in self.outside.items()
         )
 

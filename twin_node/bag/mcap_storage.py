@@ -36,6 +36,7 @@ from twin_node.bag.mcap_records import (
     parsed,
 )
 from twin_node.bag.qos import profiles_of
+from twin_node.errors import several
 
 FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
@@ -251,7 +252,9 @@ class McapStorage:
             damage.append(f"{self._told}: damaged at byte {start} of {size} ({damage_in_words(error)}); read up to it")
         if index.nameless:
             count = sum(index.counts[channel] for channel in index.nameless)
-            damage.append(f"{self._told}: {count} messages of topics that nothing undamaged names; read without them")
+            damage.append(
+                f"{self._told}: {several(count, 'message')} of topics that nothing undamaged names; read without them"
+            )
         if damage and not index.channels.keys() & index.counts.keys():
             where = f"{self._told}: damaged at {index.damage[0]}" if index.damage else damage[0].rpartition(";")[0]
             raise BagError(f"{where}; no message could be read, record it again")

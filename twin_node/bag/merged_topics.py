@@ -9,6 +9,7 @@ from pathlib import Path
 
 from twin_node.bag.log import BagError, Channel, Topic
 from twin_node.bag.qos import any_transient_local
+from twin_node.errors import several
 from twin_node.messages import builtin_types
 
 
@@ -51,17 +52,19 @@ def merged_topics(path: Path, channels: Sequence[Channel], outside: Mapping[tupl
         else:
             others[channel.topic, channel.encoding] += channel.count
     kinds = [_kind(of_kind, outside.get(key, 0)) for key, of_kind in by_kind.items()]
-    lines = [f"{topic}: {count} messages in {form}; expected cdr" for (topic, form), count in others.items()]
+    lines = [f"{topic}: {several(count, 'message')} in {form}; expected cdr" for (topic, form), count in others.items()]
     read: dict[str, _Kind] = {}
     for kind in sorted(kinds, key=lambda kind: (kind.topic.name, -kind.topic.count, kind.topic.msgtype)):
         topic, first = kind.topic, read.setdefault(kind.topic.name, kind)
         if first is not kind:
             count, chosen = topic.count + kind.odd, first.topic
-            lines.append(f"{topic.name}: {count} messages of {topic.msgtype}; {chosen.count} are of {chosen.msgtype}")
+            lines.append(
+                f"{topic.name}: {several(count, 'message')} of {topic.msgtype}; {chosen.count} are of {chosen.msgtype}"
+            )
         elif kind.odd:
             lines.append(
-                f"{topic.name}: {kind.odd} messages by another definition of {topic.msgtype} than the {topic.count} "
-                "others"
+                f"{topic.name}: {several(kind.odd, 'message')} by another definition of {topic.msgtype} than the "
+                f"{topic.count} others"
             )
     return MergedTopics(
         tuple(kind.topic for kind in read.values()),

@@ -12,6 +12,7 @@ from typing import Any
 
 from twin_node.cli.arguments import add_log
 from twin_node.cli.output import add_json
+from twin_node.errors import several
 from twin_node.json_text import json_text
 
 
@@ -63,7 +64,7 @@ def _info(options: argparse.Namespace) -> None:
             )
             return
         start = datetime.fromtimestamp(log.start_ns / 1e9, tz=UTC)
-        print(f"{log.path}: {seconds:.2f} s from {start:%Y-%m-%d %H:%M:%S} UTC, {messages} messages")
+        print(f"{log.path}: {seconds:.2f} s from {start:%Y-%m-%d %H:%M:%S} UTC, {several(messages, 'message')}")
         width = max(len(topic.name) for topic in log.topics)
         for topic in log.topics:
             kept = ", latched" if topic.latched else ""
@@ -102,6 +103,6 @@ def _repair(source: Path, output: Path) -> None:
     from twin_node.bag.repair import repair
 
     found = repair(source, output)
-    print(f"{output}: {found.messages} messages; {found.damage or 'the log was whole'}", file=sys.stderr)
+    print(f"{output}: {several(found.messages, 'message')}; {found.damage or 'the log was whole'}", file=sys.stderr)
     for line in found.left_out:
         print(f"left out: {line}", file=sys.stderr)

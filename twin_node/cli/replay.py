@@ -24,7 +24,7 @@ from twin_node.cli.arguments import (
 from twin_node.cli.output import warn
 from twin_node.cli.progress import counted
 from twin_node.cli.view import view_log
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, several
 from twin_node.unfinished import refuse_taken
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _run(
                 warn(run.damage)
             strayed = run.collector.drift[-1].warnings if run.collector.drift else ()
             warn(*run.missed(session), *strayed)
-            told = f"{run.sets} sets ({run.followed} followed by the model), {run.dropped} dropped"
+            told = f"{several(run.sets, 'set')} ({run.followed} followed by the model), {run.dropped} dropped"
             print(f"{session.log.path}: {told}, in {run.seconds:.1f} s")
             if output is not None:
                 print(f"topics: {output}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from twin_node.errors import several
 from twin_node.messages.convert import Diagnosis, Level, Reading
 from twin_node.nodes.latency import LONGEST_BRIDGED_NS
 from twin_node.rig import InputCounts, SyncReport
@@ -137,7 +138,7 @@ class CameraWatch:
                 "does"
             )
         if unusable := self._seen[totals.name].unusable:
-            faults.append(f"unusable: {len(unusable)} images, the last: {unusable[-1]}")
+            faults.append(f"unusable: {several(len(unusable), 'image')}, the last: {unusable[-1]}")
         apart = totals.unmatched - before.unmatched
         if totals.used == before.used and 2 * apart > count:
             faults.append(
@@ -147,7 +148,7 @@ class CameraWatch:
         for key, meaning in COUNTED:
             more = getattr(totals, key) - getattr(before, key)
             if more > 0:
-                faults.append(f"{key}: {more} images {meaning}")
+                faults.append(f"{key}: {several(more, 'image')} {meaning}")
         return faults
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin_node.bag import LogMessage, LogReader
 from twin_node.bag.log_times import NO_STOP
-from twin_node.errors import TwinError, TwinWarning
+from twin_node.errors import TwinError, TwinWarning, several
 from twin_node.messages import convert, from_time
 from twin_node.messages.stamps import NS_PER_S
 from twin_node.nodes.calibration import check_depth, rig_for
@@ -218,7 +218,7 @@ def _calibration_faults(seen: _Seen, start: int) -> list[str]:
 def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
     """What speaks against the units of a topic's messages."""
     if msgtype == JOINT_STATE and seen.wild:
-        return [f"{seen.wild} messages with positions that are not finite"]
+        return [f"{several(seen.wild, 'message')} with positions that are not finite"]
     if msgtype in IMAGE_TYPES and "depth" in topic:
         return _depth_faults(seen.contents)
     return []

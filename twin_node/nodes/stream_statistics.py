@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.errors import several
+
 GAP_PERIODS = 2.5
 """A pause longer than so many usual periods is a gap: more than one message is missing."""
 FEWEST = 8
@@ -51,9 +53,9 @@ def faults_of(statistics: StreamStatistics) -> tuple[str, ...]:
     """What a reader must know of a stream that should be regular."""
     found = []
     if statistics.backwards:
-        found.append(f"{statistics.backwards} stamps run backwards")
+        found.append(f"{several(statistics.backwards, 'stamp')} run{'s' * (statistics.backwards == 1)} backwards")
     if statistics.gaps:
-        found.append(f"{statistics.gaps} gaps, the longest {statistics.longest_gap_ms:.0f} ms")
+        found.append(f"{several(statistics.gaps, 'gap')}, the longest {statistics.longest_gap_ms:.0f} ms")
     if math.isinf(statistics.rate_hz):
         found.append("most stamps are the same as the one before: the clock that makes them stands")
     elif statistics.jitter_ms > JITTER_SHARE * 1e3 / statistics.rate_hz:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from twin_node.errors import several
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
 from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
@@ -92,7 +93,7 @@ class CamerasNode(Node):
                 level, message = convert.Level.WARN, doubt
             lost, self._lost[health.camera] = health.lost - self._lost[health.camera], health.lost
             if health.is_connected and lost > 0:
-                level, message = convert.Level.WARN, f"{lost} images lost since the last report: {NO_TIME}"
+                level, message = convert.Level.WARN, f"{several(lost, 'image')} lost since the last report: {NO_TIME}"
             readings = tuple(convert.Reading(name, str(getattr(health, name))) for name in ("reconnections", "lost"))
             found.append(convert.Diagnosis(f"{self.name}: {health.camera}", level, message, readings, health.camera))
         return tuple(found)

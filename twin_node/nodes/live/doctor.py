@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from twin_node.errors import several
 from twin_node.messages import builtin_types, convert, header_stamp
 from twin_node.nodes.latency import LONGEST_BRIDGED_NS
 from twin_node.nodes.stream_statistics import faults_of, statistics_of
@@ -116,7 +117,10 @@ class _Ear:
         """Hears no more; topics whose messages could not be read."""
         unreadable = [t for t in self._bus.traffic if t.unreadable]
         self._bus.close()
-        return [f"{t.topic}: {t.unreadable} messages cannot be read, the last: {t.last_error}" for t in unreadable]
+        return [
+            f"{t.topic}: {several(t.unreadable, 'message')} cannot be read, the last: {t.last_error}"
+            for t in unreadable
+        ]
 
 
 def examine(wire: Wire, seconds: float) -> Findings:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter, SplitParameters
 from twin_node.bag.recording import free_path
+from twin_node.errors import several
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.put_back import PutBackClock
@@ -178,8 +179,8 @@ class LiveRecorderNode(Node):
     def _summary(self, writer: RecordingWriter) -> str:
         """What has become of a recording."""
         if writer.messages:
-            topics = "1 topic" if len(writer.topics) == 1 else f"{len(writer.topics)} topics"
-            return f"{writer.path}: {writer.messages} messages of {topics} in {writer.seconds:.1f} s"
+            topics = several(len(writer.topics), "topic")
+            return f"{writer.path}: {several(writer.messages, 'message')} of {topics} in {writer.seconds:.1f} s"
         wanted = "any topic" if self._is_all else ", ".join(self._topics)
         return f"{writer.path}: 0 messages, nothing came on {wanted}; 'twin_node doctor' tells what there is"
 

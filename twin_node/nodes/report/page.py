@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
-from twin_node.errors import TwinError
+from twin_node.errors import TwinError, several
 from twin_node.json_text import json_text
 from twin_node.nodes.chain import make_model
 from twin_node.nodes.log_source import LogSession
@@ -126,11 +126,12 @@ def _lead(session: LogSession, run: Run) -> str:
     if run.rate is not None and run.rate != 1:
         pace += f" at {run.rate:g} times the log's pace"
     lead = (
-        f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {run.sets} sets went through the twin, "
+        f"{session.span.seconds:.1f} s of {names}, replayed {pace}: {several(run.sets, 'set')} went through the twin, "
         f"whose model followed {run.followed} of them; {run.dropped} were dropped because a newer one was there."
     )
     if run.spool is not None and not run.spool.keeps_all:
-        lead += f" Pictures and forecasts are scored on {len(run.spool)} sets, in blocks of a second all over the run."
+        scored = several(len(run.spool), "set")
+        lead += f" Pictures and forecasts are scored on {scored}, in blocks of a second all over the run."
     if not run.collector.is_arm_told:
         lead += (
             f" Nothing is told of an arm: distances and speeds are those of a made-up {run.parameters.arm.model} that "

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
+from twin_node.errors import several
 from twin_node.messages.convert import Status
 from twin_node.nodes.snapshot import SILENT_S, Snapshot
 from twin_node.nodes.topics import (
@@ -68,7 +69,7 @@ def _twin(status: Status) -> str:
     lines = [
         "### Twin",
         f"latency {_known(status.latency_p50_ms, '{:.0f} ms')}, p99 {_known(status.latency_p99_ms, '{:.0f} ms')}; "
-        f"{status.sets} sets, {status.dropped} dropped",
+        f"{several(status.sets, 'set')}, {status.dropped} dropped",
         "",
         f"coverage {_known(status.coverage, '{:.1%}')} of {status.coverage_target:.1%}; {status.parameters} parameters",
         "",
