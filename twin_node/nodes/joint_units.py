@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -25,15 +26,13 @@ DESCRIPTION = "robot_description"
 
 def ranges_told(log: LogReader) -> dict[str, float]:
     """Joint -> how far it may go, rad, by the robots' descriptions that a log has."""
-    ranges: dict[str, float] = {}
+    texts: dict[str, None] = {}  # some say the same again and again
     for topic, msgtype in log.spoken.items():
         if topic.rpartition("/")[2] == DESCRIPTION and msgtype == "std_msgs/msg/String":
-            try:
-                for message in log.messages(topic):
-                    ranges |= farthest_angles(message.message.data)
-            except TwinError:
-                continue  # of what cannot be read, who reads it tells
-    return ranges
+            for message in log.messages(topic):
+                with contextlib.suppress(TwinError):  # of what cannot be read, who reads it tells
+                    texts[message.message.data] = None
+    return {name: far for text in texts for name, far in farthest_angles(text).items()}
 
 
 def angle_fault(names: Sequence[str], farthest: Float64, ranges: Mapping[str, float]) -> str | None:
