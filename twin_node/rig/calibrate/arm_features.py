@@ -274,8 +274,9 @@ class _Fit:
             reach = np.linalg.solve(A, np.concatenate([B, a[..., None]], axis=2))
             reduced = c - np.einsum("njk,nj->nk", B, reach[..., 2])
             data = (C - B.swapaxes(1, 2) @ reach[..., :2]).sum(0)
-            # Errors of one track go together, so that the tracks disagree by more than their noise says.
-            excess = max(float((reduced[:, 0] ** 2).sum() / max(data[0, 0], 1e-12)), 1.0)
+            # Errors of tracks go together, so that they disagree by more than their noise says.
+            spread = self._spread(reduced)
+            excess = max(float(spread[0, 0] / max(data[0, 0], 1e-12)), 1.0)
             schur = data + excess * prior
             step = np.linalg.solve(schur, reduced.sum(0) - excess * prior @ (clock - [self._given, 0.0]))
             clock = clock + step
@@ -284,5 +285,18 @@ class _Fit:
         counts = np.maximum(tracks.seen.sum(1), 1)
         self.track_errors = np.sqrt((off**2).sum((1, 2)) / counts)
         back = np.linalg.inv(schur)
-        covariance = back @ (reduced.T @ reduced + excess**2 * prior) @ back
+        covariance = back @ (spread + excess**2 * prior) @ back
         return ArmClock(clock[0], clock[1], covariance, self._reference, len(tracks.links), noise)
+
+    def _spread(self, slopes: Float64) -> Float64:
+        """[2, 2] covariance of the sum of the tracks' slopes [N, 2].
+
+        Tracks that are followed at the same time are of the same features, and edges, and err together by as much of
+        their time as they share (Bartlett's weights: Newey and West, Econometrica 1987).
+        """
+        times = self._tracks.times
+        starts, which = np.unique(times[:, 0], return_inverse=True)
+        sums = np.zeros((len(starts), 2))
+        np.add.at(sums, which, slopes)
+        shared = 1 - np.abs(starts[:, None] - starts) / np.ptp(times, axis=1).max()
+        return np.asarray(sums.T @ np.maximum(shared, 0.0) @ sums)
