@@ -19,6 +19,7 @@ from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.lenses import lens_of, raw_pixels
 from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.report import Calibration, write_report
+from twin_node.rig.calibrate.report_pictures import _outline
 from twin_node.rig.calibrate.rig_fit import BoardViews, _Eyes, _motion, fit, settled
 from twin_node.scene import Rig, RigCamera
 
@@ -163,3 +164,14 @@ def test_a_rig_of_other_cameras_and_a_place_that_is_none_are_refused(rig_file: R
         write_report(Calibration(rig_file), "rig", tmp_path / "page.html", Calibration(other))
     with pytest.raises(RigError, match="cannot be written"):
         write_report(Calibration(rig_file), "rig", tmp_path / "nowhere" / "page.html")
+
+
+def test_a_fisheye_is_drawn_no_larger_than_other_cameras() -> None:
+    """The corners of its image are seen at right angles to its axis: the rig was a dot between pyramids of 20 m."""
+    K = np.array([[320.0, 0, 639.5], [0, 320.0, 479.5], [0, 0, 1]])
+    wide = RigCamera("cam0", 1280, 960, K, around(3)[0], "equidistant", np.array([0.02, -0.01, 0.002, 0.0]))
+    outline = transform(inverse_pose(wide.T_base_cam), _outline(wide, 0.3))
+    assert np.linalg.norm(outline, axis=1).max() < 0.7
+    K = np.array([[1280.0, 0, 639.5], [0, 1280.0, 479.5], [0, 0, 1]])
+    outline = transform(inverse_pose(wide.T_base_cam), _outline(replace(wide, K=K, D=np.zeros(4)), 0.3))
+    np.testing.assert_allclose(outline[outline[:, 2] > 1e-9, 2], 0.3)

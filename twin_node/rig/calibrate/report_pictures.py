@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 DRAWN_SHARE = 0.18
 """Length of a drawn camera's pyramid as a share of the rig's size."""
+MOST_REACH = 2.0
+"""How many of these lengths a drawn camera's corners are from it at most: a fisheye's lie beside it, with no end."""
 ARROW_SHARE = 0.04
 """Length at which the 95th percentile of the residuals is drawn, as a share of the image's width."""
 ELLIPSE_SHARE = 0.06
@@ -157,10 +159,14 @@ def _size(rig: Rig) -> float:
 
 
 def _outline(camera: RigCamera, length: float) -> Float64:
-    """[L, 3] one line along the pyramid from the centre to the image, `length` metres before it, in the base frame."""
+    """[L, 3] one line along the pyramid from the centre to the image, `length` metres before it, in the base frame.
+
+    Where that is too far aside the corner is nearer, on its ray.
+    """
     width, height = camera.width - 1.0, camera.height - 1.0
-    rays = pixel_rays(camera, np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]))
-    a, b, c, d = transform(camera.T_base_cam, homogeneous(rays) * length)
+    rays = homogeneous(pixel_rays(camera, np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])))
+    rays *= np.minimum(MOST_REACH / np.linalg.norm(rays, axis=1, keepdims=True), 1.0)
+    a, b, c, d = transform(camera.T_base_cam, rays * length)
     centre = camera.T_base_cam[:3, 3]
     return np.stack([centre, a, b, centre, c, d, centre, b, c, d, a])
 
