@@ -14,6 +14,7 @@ from twin_node.cell.ur_sim import (
     ControllerParameters,
     StandIn,
     StandInParameters,
+    TimedFault,
     Watchdog,
     WatchdogAction,
     free_loopback,
@@ -375,3 +376,10 @@ def test_what_is_raised_in_a_period_ends_the_stand_in(monkeypatch: pytest.Monkey
     monkeypatch.setattr(stand_in.controller, "tick", fail)
     with pytest.raises(RuntimeError, match="no more"):
         asyncio.run(stand_in.run(lambda: None))
+
+
+@pytest.mark.parametrize("line", ["slow abc", "slow 0", "restart -1", "claim nonsense", "release nonsense"])
+def test_a_fault_of_the_start_is_read_at_once(line: str) -> None:
+    """When its time comes there is nobody to tell: the stand-in went on without it, and a test of it passed."""
+    with pytest.raises(CellError, match=line.partition(" ")[2]):
+        TimedFault(line, 5.0)
