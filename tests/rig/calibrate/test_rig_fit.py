@@ -13,6 +13,7 @@ from simulated_rigs import BOARD
 
 from twin_node.geometry import pose
 from twin_node.rig import RigError
+from twin_node.rig.calibrate.boards import Chessboard, CircleGrid
 from twin_node.rig.calibrate.check import check_against_board
 from twin_node.rig.calibrate.rig_fit import (
     BEHIND_PX,
@@ -107,6 +108,13 @@ def test_a_camera_that_the_rig_lacks_is_named(recordings: list[CameraRecording])
         common_sightings(BOARD, a_rig(), [*recordings[:2], replace(recordings[2], name="front")])
     with pytest.raises(RigError, match="expected the board in images of two cameras at once, found none"):
         common_sightings(BOARD, a_rig(), recordings[:1])
+
+
+def test_a_board_that_looks_the_same_when_turned_judges_no_rig(recordings: list[CameraRecording]) -> None:
+    """A camera that is mounted upside down numbers its corners from the other end: a rig that was right was not."""
+    for board in (Chessboard(6, 4, 0.08), CircleGrid(7, 6, 0.03)):
+        with pytest.raises(RigError, match="looks different when turned by 180 degrees"):
+            common_sightings(board, a_rig(), recordings)
 
 
 def turned(rig: Rig, number: int, degrees: float) -> Rig:

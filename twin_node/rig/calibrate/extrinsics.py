@@ -16,7 +16,7 @@ from twin_node.rig.calibrate.contradictions import check_board, check_fit, check
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.lenses import Lens, homogeneous, pixel_rays
-from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, set_stamps, simultaneous, start_of
+from twin_node.rig.calibrate.rig_start import SETS_PER_PAIR, Start, check_turns, set_stamps, simultaneous, start_of
 from twin_node.rig.calibrate.steadiness import check_steady
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.calibrate.witnesses import Witnesses
@@ -150,12 +150,7 @@ def _unfitting(start: Start, bundle: BundleResult) -> list[DroppedView]:
 def _check(board: Board, cameras: Sequence[CameraRecording]) -> None:
     if len(cameras) < 2:
         raise RigError(f"rig: expected at least two cameras, found {len(cameras)}; give a folder with one video each")
-    if board.turns > 1:
-        raise RigError(
-            f"{board}: expected a board that looks different when turned by 180 degrees, so that all cameras agree on "
-            "its corners; use ChArUco, an AprilGrid, a chessboard with an even and an odd number of inner corners, or "
-            "asymmetric circles of an odd number of rows"
-        )
+    check_turns(board)
 
 
 def _lens(board: Board, camera: CameraRecording, model: str) -> Lens:

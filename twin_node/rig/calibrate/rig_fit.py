@@ -14,7 +14,7 @@ from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.lenses import Lens, lens_of, project, raw_pixels
 from twin_node.rig.calibrate.pose_graph import board_pose
-from twin_node.rig.calibrate.rig_start import set_stamps, simultaneous
+from twin_node.rig.calibrate.rig_start import check_turns, set_stamps, simultaneous
 from twin_node.rig.calibrate.rotations import cross_matrix, turning
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.rig.errors import RigError
@@ -45,9 +45,10 @@ class RigFit:
 def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
     """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied to videos.
 
-    Raises `RigError` where a recording is of a camera that the rig does not have, or of another size, or where no two
-    saw the board at once.
+    Raises `RigError` for a board that looks the same when turned, where a recording is of a camera that the rig does
+    not have, or of another size, or where no two saw the board at once.
     """
+    check_turns(board)
     names = [camera.name for camera in rig.cameras]
     for recording in recordings:
         if recording.name not in names:

@@ -51,6 +51,16 @@ class Start:
     """Stamp from which times count."""
 
 
+def check_turns(board: Board) -> None:
+    """Raises `RigError` for a board whose corners cameras may number from either end."""
+    if board.turns > 1:
+        raise RigError(
+            f"{board}: expected a board that looks different when turned by 180 degrees, so that all cameras agree on "
+            "its corners; use ChArUco, an AprilGrid, a chessboard with an even and an odd number of inner corners, or "
+            "asymmetric circles of an odd number of rows"
+        )
+
+
 def set_stamps(cameras: Sequence[CameraRecording]) -> NDArray[np.int64]:
     """Times, ns, at which some camera saw the board, no two closer than frames of a video are."""
     seen = np.unique(
