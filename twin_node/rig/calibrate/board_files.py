@@ -10,6 +10,7 @@ import numpy as np
 
 from twin_node.errors import reason
 from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, dictionary_of
+from twin_node.rig.calibrate.intrinsics import MIN_CORNERS
 from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields
 from twin_node.yaml_file import read_yaml
@@ -30,6 +31,9 @@ INCH = 0.0254
 
 LARGEST_M = 20.0
 """No board is longer: its lengths are in another unit."""
+
+LEAST_ROWS, LEAST_DOTS = 4, 10
+"""Of asymmetric circles: OpenCV finds no fewer in any image."""
 
 MOST_CELLS = 10_000
 """No board has more corners: larger numbers are mistyped."""
@@ -183,7 +187,10 @@ def whole(fields: Fields, key: str) -> int:
 
 
 def checked(where: str, board: Board) -> Board:
-    """The board, if there can be one. Raises `RigError` for lengths and markers that no board has."""
+    """The board, if there can be one.
+
+    Raises `RigError` for lengths and markers that no board has, and for too few corners to be found or to tell a pose.
+    """
     smallest = 3 if isinstance(board, Chessboard | CharucoBoard) else 2
     if min(board.columns, board.rows) < smallest:
         raise RigError(f"{where}: expected at least {smallest} columns and rows, found {board}")
@@ -198,6 +205,11 @@ def checked(where: str, board: Board) -> Board:
             raise RigError(f"{where}: {error}") from None
     if not all(0 < length < np.inf for length in vars(board).values() if isinstance(length, float)):
         raise RigError(f"{where}: expected lengths above 0, found {board}")
+    if len(board.points) < MIN_CORNERS:
+        raise RigError(f"{where}: expected at least {MIN_CORNERS} corners, found {len(board.points)} of {board}")
+    is_small = board.rows < LEAST_ROWS or len(board.points) < LEAST_DOTS
+    if isinstance(board, CircleGrid) and board.asymmetric and is_small:
+        raise RigError(f"{where}: expected at least {LEAST_ROWS} rows and {LEAST_DOTS} dots, found {board}")
     if float(board.points.max()) > LARGEST_M:
         raise RigError(
             f"{where}: expected lengths in metres, found {board}; if they are millimetres divide them by 1000"
