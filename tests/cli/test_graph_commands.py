@@ -153,6 +153,25 @@ def test_a_node_is_led_through_its_life(node: Obedient, capsys: pytest.CaptureFi
     assert node.is_over
 
 
+@pytest.mark.parametrize("service", ["get_state", "list_parameters"])
+def test_a_node_that_hangs_is_named_among_all(
+    node: Obedient, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, service: str
+) -> None:
+    """It was left out, as one of another program's that has no such service."""
+    ask = asking.ServiceClient.ask
+
+    def in_vain(self: Any, name: str, *more: Any, **fields: Any) -> Any:
+        return None if name == f"/twin/{service}" else ask(self, name, *more, **fields)
+
+    monkeypatch.setattr(asking.ServiceClient, "ask", in_vain)
+    states, listed = printed(capsys, "lifecycle", "get"), printed(capsys, "param", "list")
+    if service == "get_state":
+        assert states == ["/twin: does not answer"]
+    else:
+        assert listed == ["/twin:", "  does not answer"]
+    assert not any("alien" in line for line in states + listed)
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

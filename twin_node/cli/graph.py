@@ -66,17 +66,12 @@ def _add_node(parser: argparse.ArgumentParser, is_optional: bool = False) -> Non
 
 def _list(options: argparse.Namespace) -> None:
     from twin_node.nodes.live.asking import Asking
-    from twin_node.nodes.topics import GraphError
 
     with Asking() as graph:
         if options.node is not None:
             print("\n".join(graph.parameters(graph.node(options.node))))
             return
-        for node in graph.nodes():
-            try:
-                names = graph.parameters(node)
-            except GraphError:
-                continue  # another program's, which has no parameters
+        for node, names in graph.all_parameters().items():
             print("\n  ".join([f"{node}:", *names]))
 
 

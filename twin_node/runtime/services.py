@@ -15,7 +15,15 @@ from typing import Any, TypeAlias
 
 from twin_node.messages import Message, MessageError
 from twin_node.messages.services import ServiceType
-from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, Attachment, node_of_token, topic_key, unpack_attachment
+from twin_node.runtime.rmw_zenoh import (
+    ADMIN_SPACE,
+    Attachment,
+    EntityKind,
+    node_of_token,
+    parse_token,
+    topic_key,
+    unpack_attachment,
+)
 from twin_node.runtime.zenoh_session import ZenohParameters, open_client
 
 Reply: TypeAlias = Callable[[Message], None]
@@ -96,9 +104,17 @@ class ServiceClient:
 
     def nodes(self) -> tuple[str, ...]:
         """Full names of the nodes that are alive in the domain, sorted: `/twin`."""
+        return tuple(sorted({name for token in self._tokens() if (name := node_of_token(token)) is not None}))
+
+    def services(self) -> frozenset[str]:
+        """Full names of the services that nodes of the domain serve: `/twin/get_state`."""
+        ends = map(parse_token, self._tokens())
+        return frozenset(end.topic for end in ends if end is not None and end.kind is EntityKind.SERVICE)
+
+    def _tokens(self) -> list[str]:
+        """Liveliness tokens of the domain."""
         pattern = f"{ADMIN_SPACE}/{self._parameters.domain_id}/**"
-        tokens = [str(reply.ok.key_expr) for reply in self._session.liveliness().get(pattern) if reply.ok is not None]
-        return tuple(sorted({name for token in tokens if (name := node_of_token(token)) is not None}))
+        return [str(reply.ok.key_expr) for reply in self._session.liveliness().get(pattern) if reply.ok is not None]
 
     def ask(self, name: str, service: ServiceType, patience_s: float = PATIENCE_S, **fields: object) -> Message | None:
         """The response of the service `name` to a request of these fields; None where none comes in that time.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from twin_node.messages import Message, message_type
 from twin_node.messages.services import service_type
@@ -20,6 +20,10 @@ from twin_node.runtime.parameters import EVERY_NODE
 from twin_node.runtime.services import PATIENCE_S, ServiceClient
 from twin_node.runtime.zenoh_session import NoRouterError, ZenohParameters
 
+T = TypeVar("T")
+
+HANGS = "does not answer"
+"""Told of a node that has a service and does not answer, in place of its state or its parameters."""
 CHANGES_S = 120.0
 """How long a node may take for a transition, s: a first set of images may have to wait for kernels to be compiled."""
 SHARED = ("rig", USE_SIM_TIME)
@@ -86,11 +90,22 @@ class Asking:
         return full
 
     def states(self) -> dict[str, str]:
-        """Label of the state of every node that has a lifecycle."""
-        found = {}
+        """Label of the state of every node that has a lifecycle, or that it hangs."""
+        return self._of_all("get_state", self.state, HANGS)
+
+    def all_parameters(self) -> dict[str, tuple[str, ...]]:
+        """Names of the parameters of every node that has some, or that it hangs."""
+        return self._of_all("list_parameters", self.parameters, (HANGS,))
+
+    def _of_all(self, service: str, ask: Callable[[str], T], hangs: T) -> dict[str, T]:
+        """What `ask` gives of every node with a service, and `hangs` of those that do not answer."""
+        found, served = {}, self._client.services()
         for node in self.nodes():
-            with contextlib.suppress(GraphError):
-                found[node] = self.state(node)
+            try:
+                found[node] = ask(node)
+            except GraphError:  # another program's may have no such service
+                if f"{node}/{service}" in served:
+                    found[node] = hangs
         return found
 
     def state(self, node: str) -> str:
