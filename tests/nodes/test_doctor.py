@@ -179,12 +179,13 @@ def told_of_stamps(*said: tuple[str, str, int]) -> list[str]:
     """What is found in a graph in which node, topic and stamp are all that is said, of a clock or of joints."""
     wire, ends = LocalWire(), []
     for node, topic, stamp in said:
-        if topic == CLOCK:
+        if topic.endswith(CLOCK):
             message = convert.clock_to_message(stamp)
         else:
             message = convert.joint_sample_to_message(JointSample(stamp, ("a",), np.zeros(1), np.zeros(1)))
         msgtype = message.__msgtype__
-        ends.append(replace(publisher(node, topic, msgtype), qos=LATCHED))
+        namespace, name = node.rsplit("/", 1) if "/" in node else ("/", node)
+        ends.append(replace(in_namespace(publisher(name, topic, msgtype), namespace), qos=LATCHED))
         wire.publisher(node, topic, TopicKind(msgtype, LATCHED))(
             Encoded(msgtype, bytes(builtin_types().serialize(message)))
         )
@@ -209,6 +210,18 @@ def test_stamps_of_a_log_that_is_played_are_no_fault_of_this_computers_clock(mon
     assert fault.endswith(
         "from its arrival by /clock: driver does not take its time from there; launch it with use_sim_time"
     )
+
+
+def test_each_namespace_may_have_a_clock_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stamps by `/cell/clock` were told to be of another time, and to launch as it had been launched."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    recorded, now = 1_700_000_000_000_000_000, time.time_ns()
+    monkeypatch.setattr(time, "time_ns", lambda: now)
+    clock, played = ("/cell/player", "/cell/clock", recorded), ("/cell/player", "/cell/joint_states", recorded)
+    assert told_of_stamps(clock, played, ("driver", JOINT_STATES, now)) == []
+    assert told_of_stamps((clock[0], CLOCK, recorded), played) == [], "that of all where it has none"
+    [fault] = told_of_stamps(clock, ("/cell/driver", "/cell/joint_states", now))
+    assert "from its arrival by /cell/clock: /cell/driver does not take its time from there" in fault
 
 
 @pytest.mark.parametrize(

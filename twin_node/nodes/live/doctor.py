@@ -66,8 +66,8 @@ class _Ear:
         self.newest: dict[str, convert.Diagnosis] = {}
         """Diagnosis by its name, with the namespace before it where there is one."""
         self._published = published
-        self._clock = FollowedClock()
-        self._has_clock = CLOCK in published
+        self._clocks = {t: FollowedClock() for t, end in published.items() if _is_own(t, end.msgtype, CLOCK)}
+        """By their topics: those of namespaces may be renamed."""
         self._stamps: dict[str, list[int]] = defaultdict(list)
         self._delays: dict[str, list[int]] = defaultdict(list)
         self._bus = WireBus(wire, executor, "doctor", kind_of)
@@ -78,11 +78,12 @@ class _Ear:
 
     def _hear(self, topic: str, message: Encoded) -> None:
         stamp = time.time_ns()
-        if topic == CLOCK:
-            self._clock.set(convert.clock_from_message(message.decode()))
+        if topic in self._clocks:
+            self._clocks[topic].set(convert.clock_from_message(message.decode()))
         if message.msgtype in REGULAR_TYPES:
             taken = header_stamp(message.decode())
-            now = self._clock.now() if self._has_clock else stamp
+            clock = self._clock_of(topic)
+            now = stamp if clock is None else self._clocks[clock].now()
             if now:  # the graph's time has been heard
                 self._delays[topic].append(now - taken)
             stamp = taken
@@ -103,7 +104,12 @@ class _Ear:
         if self._published[topic].msgtype not in REGULAR_TYPES:
             return []
         irregular = [f"{topic}: {fault}" for fault in faults_of(statistics_of(self._stamps[topic]))]
-        return irregular + _clock_faults(self._published[topic], self._delays[topic], self._has_clock)
+        return irregular + _clock_faults(self._published[topic], self._delays[topic], self._clock_of(topic))
+
+    def _clock_of(self, topic: str) -> str | None:
+        """Topic of the clock that a topic's publisher goes by, its namespace's or that of all; None: there is none."""
+        own = full_name(CLOCK.strip("/"), self._published[topic].node.namespace)
+        return next((clock for clock in (own, CLOCK) if clock in self._clocks), None)
 
     def has_heard(self, node: str, topics: Sequence[str]) -> bool:
         """Whether anything came of what a node publishes; diagnoses are of many nodes, and begin with their names."""
@@ -262,14 +268,14 @@ def _waited_for(waiting: Sequence[Endpoint], endpoints: Sequence[Endpoint]) -> s
     return f"{topic}: {' and '.join(names)} {wait} for it, nobody publishes it; {advice}"
 
 
-def _clock_faults(publisher: Endpoint, delays: Sequence[int], has_clock: bool) -> list[str]:
-    """What speaks for another clock; `delays`: from the stamp to the arrival here, by the graph's time, ns."""
+def _clock_faults(publisher: Endpoint, delays: Sequence[int], clock: str | None) -> list[str]:
+    """What speaks for another clock; `delays`: from the stamp to the arrival here, by the graph's `clock`, ns."""
     if not delays or -CLOCK_TOLERANCE_NS < np.median(delays) < LATE_NS:
         return []
     seconds, node = float(np.median(delays)) / 1e9, _node(publisher)
     lag = f"{publisher.topic}: stamped {-seconds:+.2f} s from its arrival"
-    if has_clock:
-        return [f"{lag} by {CLOCK}: {node} does not take its time from there; launch it with use_sim_time"]
+    if clock is not None:
+        return [f"{lag} by {clock}: {node} does not take its time from there; launch it with use_sim_time"]
     if publisher.node.name in PLAYERS:
         return [f"{lag}, when it was recorded; play the log with --clock, and launch with use_sim_time"]
     held_up = "look for what holds it up, or " if seconds > 0 else ""
