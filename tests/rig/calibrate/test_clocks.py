@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twin_node.cell import CellSource, load_scenario
 from twin_node.geometry import looking_at, project
 from twin_node.rig import RigError
-from twin_node.rig.calibrate.arm_features import ArmClock, Tracks, _Fit, follow
+from twin_node.rig.calibrate.arm_features import ArmClock, Tracks, _Fit, follow, spread_of
 from twin_node.rig.calibrate.arm_motion import Film, JointCourse
 from twin_node.rig.calibrate.clocks import CameraClock, _by_features, _films, calibrate_clocks
 from twin_node.rig.calibrate.shifts import Costs, best_shift
@@ -205,3 +205,10 @@ def test_without_an_arm_cameras_are_timed_against_the_first() -> None:
     ]
     with pytest.raises(RigError, match="camera early: expected motion that another camera sees too"):
         calibrate_clocks([*rig[:2], blind], alone)
+
+
+def test_slopes_that_last_at_once_err_together_by_what_they_share() -> None:
+    rng = np.random.default_rng(0)
+    starts, slopes = rng.integers(0, 400, 300) / 30, rng.normal(size=(300, 2)) + [0.3, -0.2]
+    shared = np.maximum(1 - np.abs(starts[:, None] - starts) / 1.5, 0.0)
+    np.testing.assert_allclose(spread_of(starts + 1e6, slopes, 1.5), slopes.T @ shared @ slopes, rtol=1e-9)

@@ -295,8 +295,20 @@ class _Fit:
         their time as they share (Bartlett's weights: Newey and West, Econometrica 1987).
         """
         times = self._tracks.times
-        starts, which = np.unique(times[:, 0], return_inverse=True)
-        sums = np.zeros((len(starts), 2))
-        np.add.at(sums, which, slopes)
-        shared = 1 - np.abs(starts[:, None] - starts) / np.ptp(times, axis=1).max()
-        return np.asarray(sums.T @ np.maximum(shared, 0.0) @ sums)
+        return spread_of(times[:, 0], slopes, float(np.ptp(times, axis=1).max()))
+
+
+def spread_of(starts: Float64, slopes: Float64, length: float) -> Float64:
+    """[D, D] covariance of the sum of slopes [N, D] that begin at `starts` [N] and err together while they last, all
+    for a `length`; in a time that grows with N, for a recording has thousands."""
+    order = np.argsort(starts, kind="stable")
+    starts, slopes = starts[order] - starts[order[0]], slopes[order]
+    first = np.searchsorted(starts, starts - length, side="right")
+    sums, moments = (
+        np.concatenate([np.zeros((1, slopes.shape[1])), np.cumsum(of, axis=0)])
+        for of in (slopes, starts[:, None] * slopes)
+    )
+    last = np.arange(1, len(starts) + 1)
+    before = (1 - starts[:, None] / length) * (sums[last] - sums[first]) + (moments[last] - moments[first]) / length
+    half = slopes.T @ before  # of every pair once, and of each slope with itself
+    return np.asarray(half + half.T - slopes.T @ slopes)
