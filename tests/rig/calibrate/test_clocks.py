@@ -209,6 +209,6 @@ def test_without_an_arm_cameras_are_timed_against_the_first() -> None:
 
 def test_slopes_that_last_at_once_err_together_by_what_they_share() -> None:
     rng = np.random.default_rng(0)
-    starts, slopes = rng.integers(0, 400, 300) / 30, rng.normal(size=(300, 2)) + [0.3, -0.2]
+    starts, slopes = rng.integers(0, 400, 300) / 30, rng.normal(size=(300, 2)) + np.array([0.3, -0.2])
     shared = np.maximum(1 - np.abs(starts[:, None] - starts) / 1.5, 0.0)
     np.testing.assert_allclose(spread_of(starts + 1e6, slopes, 1.5), slopes.T @ shared @ slopes, rtol=1e-9)
