@@ -37,6 +37,12 @@ def test_sets_keep_the_contract_of_a_frame_source(small: Scenario, sets: list[Fr
             assert view.depth is not None and view.depth.dtype == np.float32 and np.isfinite(view.depth).all()
 
 
+@pytest.mark.parametrize(("duration_s", "ticks"), [(2.3, 69), (2.29, 68), (4.6, 138)])
+def test_a_scenario_has_all_the_sets_of_its_duration(small: Scenario, duration_s: float, ticks: int) -> None:
+    """2.3 x 30 is 68.99999999999999."""
+    assert SimulatedRig(replace(small, duration_s=duration_s)).ticks == ticks
+
+
 def test_stamps_jitter_about_each_cameras_own_delay(small: Scenario) -> None:
     rig = SimulatedRig(replace(small, duration_s=20.0))
     period_ns = 1e9 / 30
