@@ -17,9 +17,11 @@ from twin_node.messages import convert
 from twin_node.nodes.live.graph_cameras import GraphCameras
 from twin_node.nodes.live.rig_messages import publish_calibration
 from twin_node.nodes.live.setup import Setup
+from twin_node.nodes.live.single import GraphTime
 from twin_node.nodes.live.viewer import make_viewer
 from twin_node.nodes.snapshot import Snapshot
 from twin_node.nodes.topics import (
+    CLOCK,
     DIAGNOSTICS,
     GAUSSIANS,
     GAUSSIANS_MOVING,
@@ -35,7 +37,7 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.parameters import ParameterError
 from twin_node.runtime.qos import TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
-from twin_node.runtime.wire import Encoded, LocalWire
+from twin_node.runtime.wire import Encoded, LocalWire, encoded
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import JointSample, Rig, RigCamera, Separation
 
@@ -302,3 +304,16 @@ def test_numbers_that_no_page_has_are_an_error_at_the_start(name: str, value: in
     """A width of 0 was found out when the first camera came, in a timer: the node ended, and was started again."""
     with pytest.raises(ParameterError, match=f"viewer: {name}: expected .*, found {value}"):
         Graph({"viewer": {"port": free_port(), name: value}})
+
+
+@pytest.mark.parametrize("namespace", ["/", "/cell"])
+def test_the_page_of_a_namespace_goes_by_the_clock_that_was_renamed_for_it(namespace: str) -> None:
+    """By the time of day all that a log's twin says was over."""
+    wire = LocalWire()
+    wire.namespace = namespace
+    time_of_graph = GraphTime(wire, "viewer")
+    assert time_of_graph.now() > START, "the time of day, until somebody tells another"
+    for topic, stamp in ((CLOCK, START), ("/cell/clock", START // 2), ("/other/clock", START // 4), (CLOCK, START)):
+        clock = encoded(convert.clock_to_message(stamp))
+        wire.publisher("player", topic, TopicKind(clock.msgtype))(clock)
+    assert round(START / time_of_graph.now()) == (1 if namespace == "/" else 2)

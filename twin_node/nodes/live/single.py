@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from twin_node.messages import convert
@@ -16,30 +17,37 @@ from twin_node.nodes.topics import CLOCK, GraphError, kind_of, kind_of_own
 from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.lifecycle_services import STEPS, Transition, serve_lifecycle
+from twin_node.runtime.names import full_name
 from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameter_services import serve_parameters
 from twin_node.runtime.parameter_values import Parameter
 from twin_node.runtime.parameters import Sections
-from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters, open_client, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 
-class _GraphTime:
-    """The time of day until somebody publishes `/clock`, and what that says from then on."""
+class GraphTime:
+    """The time of day until somebody publishes `/clock`, and what that says from then on.
 
-    def __init__(self, wire: ZenohWire, node: str) -> None:
-        self._followed = FollowedClock()
-        wire.subscribe(node, CLOCK, kind_of_own(CLOCK), self._set)
+    The wire's namespace may have a clock of its own, renamed (`/cell/clock`), which wins.
+    """
+
+    def __init__(self, wire: Wire, node: str) -> None:
+        self._of_all, self._own = FollowedClock(), FollowedClock()
+        own = full_name(CLOCK.strip("/"), wire.namespace)
+        for topic, clock in {CLOCK: self._of_all, own: self._own}.items():
+            wire.subscribe(node, topic, kind_of_own(CLOCK), partial(self._set, clock))
 
     def now(self) -> int:
         """ns."""
-        return self._followed.now() or time.time_ns()
+        return self._own.now() or self._of_all.now() or time.time_ns()
 
-    def _set(self, message: Encoded) -> None:
-        self._followed.set(convert.clock_from_message(message.decode()))
+    @staticmethod
+    def _set(clock: FollowedClock, message: Encoded) -> None:
+        clock.set(convert.clock_from_message(message.decode()))
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,7 @@ def run_single(
         signal.signal(number, lambda *_: executor.stop())
     with open_wire(zenoh, namespace=namespace) as wire:
         bus = WireBus(wire, executor, kind, kind_of)
-        clock: Clock = _GraphTime(wire, kind) if follows_clock else SystemClock()
+        clock: Clock = GraphTime(wire, kind) if follows_clock else SystemClock()
         sections = {**(others or {}), kind: parameters}
         setup = Setup(kind, bus, clock, executor, sections, where, executor.stop, wire.endpoints)
         node: Node = find_factory(kind)(setup)
