@@ -20,6 +20,10 @@ from twin_node.cli import main
 settings.register_profile("twin_node", derandomize=bool(os.environ.get("CI")), deadline=None)
 settings.load_profile("twin_node")
 
+# What is set where ROS 2 is sourced, or leads it elsewhere, would lead tests there.
+for name in [name for name in os.environ if name == "ROS_DISTRO" or name.startswith(("ROS_DOMAIN", "ZENOH_"))]:
+    del os.environ[name]
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
