@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, looking_at, pose, transform
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, Corners
+from twin_node.rig.calibrate.april_grid import AprilGrid
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, CircleGrid, Corners
 from twin_node.rig.calibrate.lenses import Lens, pixel_rays, project
 from twin_node.rig.calibrate.tracks import CameraRecording
 from twin_node.scene import Float64, UInt8

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from simulated_boards import a_lens, picture, seen_corners
 
 from twin_node.geometry import pose
 from twin_node.rig import RigError
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.april_grid import AprilGrid
+from twin_node.rig.calibrate.boards import SEARCH_PX, Board, CharucoBoard, Chessboard, CircleGrid
 from twin_node.scene import Float64
 
 BOARDS: dict[str, Board] = {
@@ -42,6 +45,23 @@ def test_corners_are_found_where_they_are(kind: str) -> None:
     expected = truth.pixels[found.ids]
     assert np.abs(found.pixels - expected).max() < 0.35  # centres of dots move with perspective and distortion
     assert np.abs(found.pixels - expected).mean() < 0.12
+
+
+def test_a_chessboard_in_a_large_image_is_looked_for_in_a_smaller_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board that was half hidden took over a minute in one 3840 pixels wide."""
+    board, lens = BOARDS["chessboard"], a_lens(width=2600, height=1950, focal=2112.5)
+    T, sizes, find = before_camera(board), list[int](), cv2.findChessboardCorners
+
+    def watched(image: Any, size: tuple[int, int]) -> Any:
+        sizes.append(max(image.shape))
+        return find(image, size)
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", watched)
+    found, truth = board.detect(picture(board, lens, T)), seen_corners(board, lens, T)
+    assert found is not None and truth is not None
+    assert sizes == [SEARCH_PX]
+    assert np.abs(found.pixels - truth.pixels[found.ids]).max() < 0.35
+    assert np.abs(found.pixels - truth.pixels[found.ids]).mean() < 0.12
 
 
 @pytest.mark.parametrize("kind", ["chessboard", "charuco", "aprilgrid", "asymmetric circles"])

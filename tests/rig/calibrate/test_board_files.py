@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from twin_node.rig import RigError
+from twin_node.rig.calibrate.april_grid import AprilGrid
 from twin_node.rig.calibrate.board_files import find_board
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, CircleGrid
 
 SIZE = "columns: 6\nrows: 5\n"
 CALISCOPE = (

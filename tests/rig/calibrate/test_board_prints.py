@@ -13,8 +13,9 @@ import pytest
 
 from twin_node.cli import main
 from twin_node.rig import RigError
+from twin_node.rig.calibrate.april_grid import AprilGrid
 from twin_node.rig.calibrate.board_prints import DPI, INCH_M, draw_board, print_board
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, CircleGrid
 
 BOARDS: list[Board] = [
     Chessboard(6, 5, 0.02),

@@ -18,8 +18,9 @@ from simulated_boards import a_lens, around
 from twin_node.errors import TwinError
 from twin_node.geometry import inverse_pose, looking_at, quat_from_rotation
 from twin_node.rig import RigError, load_rig, save_rig
+from twin_node.rig.calibrate.april_grid import AprilGrid
 from twin_node.rig.calibrate.board_files import find_board, load_board
-from twin_node.rig.calibrate.boards import AprilGrid, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.boards import CharucoBoard, Chessboard, CircleGrid
 from twin_node.rig.calibrate.camera_info import load_camera_info, save_camera_info
 from twin_node.rig.calibrate.importers import IMPORTERS
 from twin_node.rig.calibrate.recordings import load_cameras

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.errors import reason
-from twin_node.rig.calibrate.boards import AprilGrid, Board, CharucoBoard, Chessboard, CircleGrid, dictionary_of
+from twin_node.rig.calibrate.april_grid import AprilGrid
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, CircleGrid
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS
+from twin_node.rig.calibrate.markers import dictionary_of
 from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields
 from twin_node.yaml_file import read_yaml

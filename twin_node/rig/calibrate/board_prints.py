@@ -11,14 +11,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from twin_node.rig.calibrate.boards import (
-    AprilGrid,
-    Board,
-    CharucoBoard,
-    Chessboard,
-    CircleGrid,
-    dictionary_of,
-)
+from twin_node.rig.calibrate.april_grid import AprilGrid
+from twin_node.rig.calibrate.boards import Board, CharucoBoard, Chessboard, CircleGrid
+from twin_node.rig.calibrate.markers import dictionary_of
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, UInt8
 from twin_node.unfinished import whole_file
