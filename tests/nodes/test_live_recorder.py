@@ -313,6 +313,34 @@ def test_who_records_nothing_is_told(
     ]
 
 
+class LateStudio(Studio):
+    """Somebody publishes all that is recorded, of whom the wire tells from the second question on."""
+
+    @property
+    def graph(self) -> tuple[Endpoint, ...]:
+        self._asked += 1
+        who, kinds = NodeIdentity("1", 1, "somebody"), {topic: kind_of(topic) for topic in (DIAGNOSTICS, TF_STATIC)}
+        ends = (
+            Endpoint(EntityKind.PUBLISHER, who, 1, topic, str(kind.msgtype), "RIHS01_0", kind.qos)
+            for topic, kind in kinds.items()
+            if kind is not None
+        )
+        return tuple(ends) if self._asked > 1 else ()
+
+    @graph.setter
+    def graph(self, _: tuple[Endpoint, ...]) -> None:
+        self._asked = 0
+
+
+def test_topics_that_are_published_are_not_said_to_be_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of topics whose types are known nobody had asked by then, and the first answer is empty."""
+    monkeypatch.setattr("twin_node.nodes.live.recorder.SILENCE_S", 0.0)
+    studio = LateStudio(tmp_path / "run.mcap", SystemClock(), tells=True)
+    studio.step()
+    studio.end()
+    assert not [line for line in studio.said if "nobody publishes" in line]
+
+
 def test_what_was_recorded_is_told_in_the_end(tmp_path: Path) -> None:
     clock = FollowedClock()
     studio = Studio(tmp_path / "run", clock, tells=True)

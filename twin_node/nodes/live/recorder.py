@@ -113,6 +113,7 @@ class LiveRecorderNode(Node):
             raise
 
     def _listen(self, path: Path) -> None:
+        self._endpoints()  # it is told from now on who publishes
         for topic in self._topics:
             kind = kind_of(topic)
             if kind is not None and kind.msgtype is not None:
