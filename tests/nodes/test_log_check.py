@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tracemalloc
 from array import array
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from twin_logs import write_twin_log
 
-from twin_node.bag import LogWriter, open_log
+from twin_node.bag import LogMessage, LogWriter, open_log
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
 from twin_node.messages import convert, message_type
@@ -47,6 +49,15 @@ def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0, apa
 
 def joints(stamp: int, positions: np.ndarray, name: str = "elbow") -> object:
     return convert.joint_sample_to_message(JointSample(stamp, (name,), positions, np.zeros(1)))
+
+
+@contextlib.contextmanager
+def rewriting(source: Path, target: Path) -> Iterator[tuple[Iterator[LogMessage], LogWriter]]:
+    """The messages of a log, and one to write them into that has its records already."""
+    with open_log(source) as log, LogWriter(target) as written:
+        for name, record in log.metadata.items():
+            written.add_metadata(name, record)
+        yield log.messages(), written
 
 
 def checked(path: Path) -> LogCheck:
@@ -103,10 +114,8 @@ def test_cameras_that_are_apart_by_the_rigs_clock_are_named(tmp_path: Path) -> N
 def test_a_camera_that_sends_more_slowly_is_not_said_to_be_apart(tmp_path: Path, slow: str) -> None:
     """Every one of its images is taken with one of the other's: no trigger and no clock is to blame."""
     write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
-    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "slow.mcap") as written:
-        for name, record in log.metadata.items():
-            written.add_metadata(name, record)
-        for message in log.messages():
+    with rewriting(tmp_path / "all.mcap", tmp_path / "slow.mcap") as (messages, written):
+        for message in messages:
             if not message.topic.startswith(f"/{slow}/") or (message.stamp - START) // PERIOD % 2 == 0:
                 written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
     (fault,) = checked(tmp_path / "slow.mcap").faults
@@ -117,10 +126,8 @@ def test_a_camera_that_sends_more_slowly_is_not_said_to_be_apart(tmp_path: Path,
 def test_stamps_that_do_not_carry_over_to_seconds_are_told_as_that(tmp_path: Path) -> None:
     """As of a driver that counts nanoseconds alone: its times were told as the skew of a camera."""
     write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
-    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "odd.mcap") as written:
-        for name, record in log.metadata.items():
-            written.add_metadata(name, record)
-        for message in log.messages():
+    with rewriting(tmp_path / "all.mcap", tmp_path / "odd.mcap") as (messages, written):
+        for message in messages:
             if message.topic == "/right/image_raw":
                 content = message.message
                 content.header.stamp.nanosec += 1_012_000_000
@@ -142,10 +149,8 @@ def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
     write_log(path, Rig((LEFT,), BOX))
     moved = LEFT.T_base_cam.copy()
     moved[0, 3] += 0.012
-    with open_log(path) as log, LogWriter(tmp_path / "moved.mcap") as written:
-        for name, record in log.metadata.items():
-            written.add_metadata(name, record)
-        for message in log.messages():
+    with rewriting(path, tmp_path / "moved.mcap") as (messages, written):
+        for message in messages:
             written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
         for seconds, pose in ((0.1, LEFT.T_base_cam), (0.5, moved), (0.6, LEFT.T_base_cam), (0.7, moved)):
             stamp = START + int(seconds * 1e9)
@@ -157,10 +162,8 @@ def test_fixed_frames_that_are_put_elsewhere_are_named(tmp_path: Path) -> None:
 def test_a_camera_that_begins_late_is_not_apart_from_the_others(tmp_path: Path) -> None:
     """What it shows belongs to theirs; that there is none in the first half is no other clock's doing."""
     write_log(tmp_path / "all.mcap", Rig((LEFT, RIGHT), BOX))
-    with open_log(tmp_path / "all.mcap") as log, LogWriter(tmp_path / "late.mcap") as late:
-        for name, record in log.metadata.items():
-            late.add_metadata(name, record)
-        for message in log.messages():
+    with rewriting(tmp_path / "all.mcap", tmp_path / "late.mcap") as (messages, late):
+        for message in messages:
             if not message.topic.startswith("/right/") or message.stamp > START + 30 * PERIOD:
                 late.write_raw(message.topic, message.msgtype, message.data, message.stamp)
     assert checked(tmp_path / "late.mcap").faults == ()

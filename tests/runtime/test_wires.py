@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,11 +14,13 @@ import pytest
 
 from twin_node.errors import TwinError
 from twin_node.messages import message_type
+from twin_node.messages.services import ServiceType, service_type
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.late_wire import LateWire
 from twin_node.runtime.qos import LATCHED, LATCHED_BY_SEVERAL, NEWEST, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Attachment
-from twin_node.runtime.wire import Encoded, LocalWire, Wire, encoded
+from twin_node.runtime.services import PATIENCE_S, Answer
+from twin_node.runtime.wire import Cancel, Encoded, LocalWire, Wire, encoded
 from twin_node.runtime.wire_bus import BusError, WireBus
 from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_session
 from twin_node.runtime.zenoh_wire import PUBLISHERS_REMEMBERED, ZenohWire, _Receiver
@@ -286,6 +289,34 @@ def test_records_stay_at_home(wires: tuple[ZenohWire, ZenohWire]) -> None:
     talker.bus.publish("/record", record)
     assert here.wait() is record
     assert not there.executor.step(0.0)
+
+
+class Served(LocalWire):
+    """A wire that keeps what answers a service."""
+
+    answer: Answer
+
+    def serve(self, node: str, name: str, service: ServiceType, answer: Answer) -> Cancel:
+        self.answer = answer
+        return lambda: None
+
+
+def test_what_nobody_waits_for_any_more_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node that hung let an arm go on when it came to itself, long after somebody had asked in vain."""
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    wire, executor, done = Served(), Executor(), list[object]()
+    bus = WireBus(wire, executor, "driver", kind_of)
+    bus.serve(
+        "/arm/acknowledge", service_type("std_srvs/srv/Trigger"), lambda request, reply: done.append(request.of_s)
+    )
+    for asked_s, come_to_s in ((0.0, 1.0), (2.0, 2.0 + PATIENCE_S), (20.0, 20.0)):
+        now[0] = asked_s
+        wire.answer(SimpleNamespace(of_s=asked_s), lambda response: None)
+        now[0] = come_to_s
+        while executor.step(0.0):
+            pass
+    assert done == [0.0, 20.0]
 
 
 @pytest.mark.parametrize(("given", "sourced"), [("humble", None), ("humble", "jazzy"), (None, "humble")])

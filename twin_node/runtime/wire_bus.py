@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +14,7 @@ from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Executor, Inbox
 from twin_node.runtime.names import within, without
 from twin_node.runtime.qos import KindOf, TopicKind
-from twin_node.runtime.services import Answer, Reply
+from twin_node.runtime.services import PATIENCE_S, Answer, Reply
 from twin_node.runtime.wire import Cancel, Encoded, Send, Sink, Wire, encoded
 
 REQUESTS_KEPT = 16
@@ -172,11 +173,20 @@ class WireBus:
         self._subscribe(topic, call, raw=False, to=timed)
 
     def serve(self, name: str, service: ServiceType, answer: Answer) -> None:
-        """Call `answer(request, reply)` in the executor's thread for every request of the service `name`."""
-        inbox = self._executor.inbox(lambda asked: answer(*asked), REQUESTS_KEPT)
+        """Call `answer(request, reply)` in the executor's thread for every request of the service `name`.
+
+        One that the node comes to when its client has given up is passed over: what it asks for may be wrong by then.
+        """
+
+        def answer_in_time(asked: tuple[float, Message, Reply]) -> None:
+            since, request, reply = asked
+            if time.monotonic() - since < PATIENCE_S:
+                answer(request, reply)
+
+        inbox = self._executor.inbox(answer_in_time, REQUESTS_KEPT)
 
         def put_aside(request: Message, reply: Reply) -> None:
-            inbox.offer((request, reply))
+            inbox.offer((time.monotonic(), request, reply))
 
         self._cancels.append(self._wire.serve(self._node, name, service, put_aside))
 

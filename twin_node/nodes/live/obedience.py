@@ -37,6 +37,7 @@ class Obedience:
         """The arm is told its share of speed."""
         if share > 0.0:
             self._stands_from = math.inf
+            self._moving.clear()
         elif math.isinf(self._stands_from):
             self._stands_from = now + STOPS_S
 

@@ -156,6 +156,8 @@ class SpeedScalingNode(Node):
 
         Its joints may be told of in several messages.
         """
+        if self._share is not None and self._share > 0.0:
+            return  # it may move, and joints are told of hundreds of times a second
         told = zip(message.name, message.velocity, strict=False)
         speeds = {name: abs(v) for name, v in told if name in self._joint_names and not math.isnan(v)}
         if self._share is None:
