@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -10,6 +15,7 @@ import pytest
 from twin_node.bench.graph_run import free_endpoint
 from twin_node.runtime import zenoh_session
 from twin_node.runtime.zenoh_session import WireError, ZenohParameters, open_client, open_router
+from twin_node.runtime.zenoh_wire import ZenohWire
 
 pytest.importorskip("zenoh")
 
@@ -111,3 +117,35 @@ def test_why_no_router_is_reached_is_told_without_places_in_zenoh_s_source(usual
     with pytest.raises(WireError, match=r"found neither \(Unable to connect to any of \[[^]]*\]\): what") as told:
         open_client(usual)
     assert ".rs" not in str(told.value)
+
+
+HANGING = """
+import sys, time
+from twin_node.runtime.zenoh_session import ZenohParameters, open_session
+session = open_session(ZenohParameters(endpoint=sys.argv[1]))
+print("joined", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_session_ends_though_one_hangs_that_it_is_joining(
+    usual: ZenohParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """zenoh's own close waited for ten seconds, and failed: a command that had done all it should ended in a trace."""
+    monkeypatch.setenv(zenoh_session.OVERRIDE_VARIABLE, "transport/unicast/open_timeout=60000")  # as rmw_zenoh has it
+    router = open_router(usual)
+    assert router is not None
+    with contextlib.closing(router):
+        hanging = subprocess.Popen([sys.executable, "-c", HANGING, usual.endpoint], stdout=subprocess.PIPE)
+        try:
+            assert hanging.stdout is not None
+            hanging.stdout.readline()
+            while len(router.info.peers_zid()) < 1:
+                time.sleep(0.01)
+            hanging.send_signal(signal.SIGSTOP)
+            wire = ZenohWire(usual)
+            wire.close()
+            assert any(thread.name == "end of a session" for thread in threading.enumerate())
+        finally:
+            hanging.kill()
+            hanging.wait()

@@ -19,7 +19,7 @@ from twin_node.messages import convert, header_stamp
 from twin_node.nodes.topics import kind_of
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 from twin_node.scene import JointSample
 
@@ -50,7 +50,7 @@ def hops(seconds: float) -> HopFigures:
     joined = replace(parameters, router="external")
     with ExitStack() as stack:
         if router is not None:
-            stack.callback(router.close)
+            stack.callback(close_session, router)
         here = stack.enter_context(_listening(joined))
         wire = ZenohWire(joined)
         stack.callback(wire.close)

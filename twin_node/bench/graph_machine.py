@@ -17,7 +17,7 @@ from twin_node.bench.graph_run import GraphRun
 from twin_node.messages import convert
 from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.nodes.topics import OBSTACLES, SEPARATION, kind_of_own
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 from twin_node.scene import Obstacles
 
@@ -72,7 +72,7 @@ def _publish_obstacles(endpoint: str, ended: threading.Event) -> None:
         send(convert.obstacles_to_message(Obstacles.none(time.time_ns())))
     wire.close()
     if router is not None:
-        router.close()
+        close_session(router)
 
 
 def _drive_arm(endpoint: str, routers: tuple[str, ...], ended: threading.Event) -> None:

@@ -20,7 +20,7 @@ from twin_node.nodes.playback import Playback
 from twin_node.nodes.status import PER_SET
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY, kind_of_own
 from twin_node.runtime.wire import Send
-from twin_node.runtime.zenoh_session import ZenohParameters, open_router
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 SETS = 150
@@ -54,7 +54,7 @@ def cost(messages: Mapping[str, Message], visitors: int) -> SendCost:
     with ExitStack() as stack:
         router = open_router(parameters)
         assert router is not None
-        stack.callback(router.close)
+        stack.callback(close_session, router)
         wire = ZenohWire(ZenohParameters(router="external", endpoint=parameters.endpoint, domain=0))
         stack.callback(wire.close)
         sends = {topic: wire.publisher("bench", topic, kind_of_own(topic)) for topic in PER_SET}

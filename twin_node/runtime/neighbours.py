@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from twin_node.runtime.names import full_name
 from twin_node.runtime.rmw_zenoh import ADMIN_SPACE, mangled, node_of_token
-from twin_node.runtime.zenoh_session import ZenohParameters, open_client
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_client
 
 CLAIM_SPACE = "@twin_node"
 """First part of a token that says: this launch is about to begin a node of that name, or has done so."""
@@ -73,7 +73,7 @@ class NodeNames:
         """Gives the names up."""
         if self._ear is not None:
             self._ear.undeclare()
-        self._session.close()
+        close_session(self._session)
 
     def __enter__(self) -> Self:
         return self

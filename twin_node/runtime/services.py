@@ -24,7 +24,7 @@ from twin_node.runtime.rmw_zenoh import (
     topic_key,
     unpack_attachment,
 )
-from twin_node.runtime.zenoh_session import ZenohParameters, open_client
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_client
 
 Reply: TypeAlias = Callable[[Message], None]
 """Takes the response to a request, once; at once or later, in any thread."""
@@ -140,4 +140,4 @@ class ServiceClient:
 
     def close(self) -> None:
         """Ends the session."""
-        self._session.close()
+        close_session(self._session)

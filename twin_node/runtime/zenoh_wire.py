@@ -34,7 +34,7 @@ from twin_node.runtime.rmw_zenoh import (
 )
 from twin_node.runtime.services import Answer, ServiceDesk
 from twin_node.runtime.wire import Cancel, Encoded, LocalWire, Send, Sink, encoded
-from twin_node.runtime.zenoh_session import ZenohParameters, open_session
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_session
 
 PUBLISHERS_REMEMBERED = 256
 """Publishers per subscription whose newest sequence number is kept; far more than a graph has of one topic."""
@@ -168,7 +168,7 @@ class ZenohWire:
             kept, self._kept = self._kept, []
         for entity in reversed(kept):
             entity.undeclare()
-        self._session.close()
+        close_session(self._session)
 
     def _remote_publisher(self, node: str, topic: str, kind: TopicKind, message: Any) -> _RemotePublisher:
         type_hash = self._hash_of(kind, message)

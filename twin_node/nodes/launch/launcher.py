@@ -21,7 +21,7 @@ from twin_node.nodes.launch.order import Order
 from twin_node.nodes.launch.process_plan import ProcessPlan
 from twin_node.nodes.topics import GraphError
 from twin_node.runtime.neighbours import NodeNames
-from twin_node.runtime.zenoh_session import WireError, open_router
+from twin_node.runtime.zenoh_session import WireError, close_session, open_router
 
 FIRST_STATUS = 10
 """Exit status of a launch whose first process failed for good; the second's is one more, and so on."""
@@ -148,9 +148,10 @@ class Launcher:
             return self._watch()
         finally:
             self._stop_all()
-            for opened in (self._names, self._router):
-                if opened is not None:
-                    opened.close()
+            if self._names is not None:
+                self._names.close()
+            if self._router is not None:
+                close_session(self._router)
 
     def _claimed_names(self) -> NodeNames | None:
         """Two nodes of one name would contradict each other: two arms, two speeds."""

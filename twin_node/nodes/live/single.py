@@ -25,7 +25,7 @@ from twin_node.runtime.parameter_values import Parameter
 from twin_node.runtime.parameters import Sections
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.runtime.zenoh_session import ZenohParameters, open_client, open_router
+from twin_node.runtime.zenoh_session import ZenohParameters, close_session, open_client, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
 
 
@@ -83,10 +83,10 @@ def open_wire(
         parameters = replace(parameters, namespace=namespace)
     router = open_router(parameters)
     if router is None:
-        open_client(parameters).close()
+        close_session(open_client(parameters))
     with contextlib.ExitStack() as stack:
         if router is not None:
-            stack.callback(router.close)
+            stack.callback(close_session, router)
         if sole:
             stack.enter_context(_claimed(parameters, sole))
         wire = ZenohWire(parameters)
