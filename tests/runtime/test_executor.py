@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from twin_node.nodes.topics import ACKNOWLEDGE, JOINT_STATES, kind_of
 from twin_node.runtime.executor import Executor
-from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire import Encoded, LocalWire
+from twin_node.runtime.wire_bus import WireBus
 
 
 def run_all(executor: Executor) -> None:
@@ -54,6 +56,25 @@ def test_others_can_tell_whether_a_callback_ever_ends(monkeypatch: pytest.Monkey
     assert executor.busy_s == 0.0
     run_all(executor)
     assert [*busy, executor.busy_s] == [3.0, 4.0, 0.0]
+
+
+def test_orders_that_a_node_which_hung_comes_to_too_late_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`/arm/acknowledge`: the arm went on when the driver came to itself, long after somebody had looked at it."""
+    now = [0.0]
+    monkeypatch.setattr("twin_node.runtime.executor.time", SimpleNamespace(monotonic=lambda: now[0]))
+    executor, seen = Executor(), list[str]()
+    order = kind_of(ACKNOWLEDGE)
+    assert order is not None
+    bus = WireBus(LocalWire(), executor, "driver", kind_of)
+    bus.subscribe(ACKNOWLEDGE, seen.append)
+    bus.subscribe(JOINT_STATES, seen.append)
+    for waits_s in (0.9 * order.qos.lifespan_s, order.qos.lifespan_s):
+        bus.publish(ACKNOWLEDGE, f"an order {waits_s:.0f} s ago")
+        bus.publish(JOINT_STATES, f"joints {waits_s:.0f} s ago")
+        now[0] += waits_s
+        run_all(executor)
+    assert seen == ["an order 9 s ago", "joints 9 s ago", "joints 10 s ago"]
+    assert [bus.dropped(topic) for topic in (ACKNOWLEDGE, JOINT_STATES)] == [1, 0]
 
 
 def test_an_inbox_keeps_no_more_bytes_than_it_may() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
-from twin_node.runtime.qos import EVERY, FRESH, LATCHED_BY_SEVERAL, NEWEST, SENSOR_DATA, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, FRESH, LATCHED_BY_SEVERAL, NEWEST, ORDER, SENSOR_DATA, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -83,7 +83,7 @@ _MESSAGE_TYPES = {
     JOINT_STATES: TopicKind(JOINT_STATE),
     TRAJECTORY: TopicKind("trajectory_msgs/msg/JointTrajectory"),
     FOLLOW: TopicKind("trajectory_msgs/msg/JointTrajectory"),
-    ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty"),
+    ACKNOWLEDGE: TopicKind("std_msgs/msg/Empty", ORDER),
     TF: TopicKind("tf2_msgs/msg/TFMessage"),
     OBSTACLE_MARKERS: TopicKind("visualization_msgs/msg/MarkerArray", NEWEST),
     FRUSTA: TopicKind("visualization_msgs/msg/MarkerArray", Qos(depth=1, latched=True, repeats=True)),

@@ -100,17 +100,20 @@ class Inbox:
         depth: int,
         patience: float = 0.0,
         most_bytes: float = math.inf,
+        lifespan_s: float = math.inf,
     ) -> None:
-        """`patience`: how long a message is left for the next one, see `runtime.arrivals`; `most_bytes`: see `Qos`."""
+        """`patience`, `most_bytes` and `lifespan_s`: see `Qos`."""
         self._executor = executor
         self._callback = callback
-        self._waiting: deque[tuple[Any, int]] = deque()
+        self._waiting: deque[tuple[Any, int, float]] = deque()
+        """Messages, their bytes, and when they came by the monotonic clock, s."""
         self._bytes = 0
         self._depth = depth
         self._most_bytes = most_bytes
+        self._lifespan_s = lifespan_s
         self._arrivals = Arrivals(patience)
         self.dropped = 0
-        """Messages that newer ones have replaced."""
+        """Messages that newer ones have replaced, or that have waited too long."""
 
     def offer(self, message: Any) -> None:
         """Takes a message, from any thread."""
@@ -118,12 +121,13 @@ class Inbox:
 
     def push(self, message: Any) -> bool:
         """Takes a message under the executor's lock; False where it replaced one that still waits, or several."""
-        self._arrivals.add(time.monotonic())
+        now = time.monotonic()
+        self._arrivals.add(now)
         size, before = _bytes_of(message), self.dropped
         while self._waiting and (len(self._waiting) >= self._depth or self._bytes + size > self._most_bytes):
             self._bytes -= self._waiting.popleft()[1]
             self.dropped += 1
-        self._waiting.append((message, size))
+        self._waiting.append((message, size, now))
         self._bytes += size
         return self.dropped == before
 
@@ -141,9 +145,12 @@ class Inbox:
         with self._executor.lock:
             if not self._waiting:
                 return  # a larger one has taken the place of several
-            message, size = self._waiting.popleft()
+            message, size, came = self._waiting.popleft()
             self._bytes -= size
-        self._callback(message)
+            is_over = time.monotonic() - came >= self._lifespan_s
+            self.dropped += is_over
+        if not is_over:
+            self._callback(message)
 
 
 def _bytes_of(message: Any) -> int:
@@ -182,13 +189,19 @@ class Executor:
         return self._stopped
 
     def inbox(
-        self, callback: Callable[[Any], None], depth: int, patience: float = 0.0, most_bytes: float = math.inf
+        self,
+        callback: Callable[[Any], None],
+        depth: int,
+        patience: float = 0.0,
+        most_bytes: float = math.inf,
+        lifespan_s: float = math.inf,
     ) -> Inbox:
         """A queue of at most `depth` messages, and `most_bytes` of those, whose `callback(message)` this executor runs.
 
-        `patience`: how long a message is left for the next one, see `runtime.arrivals`; 0: not at all.
+        `patience`: how long a message is left for the next one, see `runtime.arrivals`; 0: not at all. `lifespan_s`:
+        how long one may wait.
         """
-        return Inbox(self, callback, depth, patience, most_bytes)
+        return Inbox(self, callback, depth, patience, most_bytes, lifespan_s)
 
     def enqueue(self, inbox: Inbox, message: Any) -> None:
         """Puts a message into one of this executor's inboxes; from any thread."""

@@ -24,6 +24,8 @@ class Qos:
     """Bytes of messages kept for a subscriber that is busy; older ones are dropped, and counted, but for the newest."""
     patience: float = 0.0
     """How long a subscriber leaves a message for the next one, see `runtime.arrivals`; 0: not at all."""
+    lifespan_s: float = math.inf
+    """A message that has waited so long for a subscriber, one that hung, is dropped and counted."""
 
 
 RELIABLE = Qos()
@@ -37,6 +39,8 @@ NEWEST = Qos(depth=1)
 """Only the newest counts: what it replaces is dropped, and counted."""
 FRESH = Qos(depth=1, patience=PATIENCE)
 """Only the newest counts, and an old one is left where a newer one is due: for what takes long to work on."""
+ORDER = Qos(lifespan_s=10.0)
+"""Somebody wants something done, who sees whether it is: later it may be wrong."""
 EVERY = Qos(depth=100_000, most_bytes=256e6)
 """Nothing is to be lost within a process: about an hour of 30 Hz, or ten seconds of a camera's raw images while a disk
 stands still; a reader that is slower for longer must not take all memory there is."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,7 +27,7 @@ class Traffic:
     topic: str
     received: int
     dropped: int
-    """Replaced by newer ones before the node had time for them."""
+    """Replaced by newer ones before the node had time for them, or too old by then."""
     unreadable: int
     """Bytes that are not a message of the topic's type, or a message that the node refused."""
     last_error: str | None
@@ -178,20 +177,15 @@ class WireBus:
         One that the node comes to when its client has given up is passed over: what it asks for may be wrong by then.
         """
 
-        def answer_in_time(asked: tuple[float, Message, Reply]) -> None:
-            since, request, reply = asked
-            if time.monotonic() - since < PATIENCE_S:
-                answer(request, reply)
-
-        inbox = self._executor.inbox(answer_in_time, REQUESTS_KEPT)
+        inbox = self._executor.inbox(lambda asked: answer(*asked), REQUESTS_KEPT, lifespan_s=PATIENCE_S)
 
         def put_aside(request: Message, reply: Reply) -> None:
-            inbox.offer((time.monotonic(), request, reply))
+            inbox.offer((request, reply))
 
         self._cancels.append(self._wire.serve(self._node, name, service, put_aside))
 
     def dropped(self, topic: str) -> int:
-        """Messages on `topic` that newer ones replaced before a callback of this bus had time for them."""
+        """Messages on `topic` that newer ones replaced, or that got too old, before a callback had time for them."""
         return sum(inbox.dropped for subscription, inbox in self._subscriptions if subscription.topic == topic)
 
     def is_waiting(self, topic: str) -> bool:
@@ -219,7 +213,8 @@ class WireBus:
         """`to(offer)`: what takes messages from the wire and offers them to the inbox, in any thread."""
         kind = self._kind(topic)
         subscription = _Subscription(topic, callback, raw)
-        inbox = self._executor.inbox(subscription, kind.qos.depth, kind.qos.patience, kind.qos.most_bytes)
+        qos = kind.qos
+        inbox = self._executor.inbox(subscription, qos.depth, qos.patience, qos.most_bytes, qos.lifespan_s)
         self._subscriptions.append((subscription, inbox))
         self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, to(inbox.offer)))
 
