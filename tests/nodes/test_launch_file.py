@@ -21,6 +21,7 @@ launch:
     rate: {default: 1.0}
     loop: {default: false}
     who: {default: twin}
+    how: {default: fast, choices: [fast, slow]}
   processes:
     play: {nodes: [player], ends_launch: true, restart: false}
     arm: {nodes: [arm], if: $(var who)/x == twin/x, nice: 5}
@@ -64,6 +65,7 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
         (["log:=a", "rat:=2"], [], "unknown argument 'rat'; did you mean 'rate'"),
         (["log:=a", "rate:=fast"], [], "rate:=fast: expected a number"),
         (["log=a"], [], "expected NAME:=VALUE"),
+        (["log:=a", "how:=slowly"], [], "small.yaml: argument how: expected one of fast, slow, found 'slowly'"),
         (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),
         (["log:=a"], ["plaier.rate:=2"], "unknown node 'plaier'; did you mean 'player'"),
         (["log:=a"], ["twin.x:=1"], r"has no node 'twin'; it has arm, player, recorder"),
@@ -110,7 +112,10 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("    play:", "    a/b:", "process 'a/b': expected a name of letters, digits"),
         ("nodes: [arm]", "nodes: [player]", "node 'player' is in two processes, play and arm"),
         ("nodes: [player]", "nodes: [player, player]", "node 'player' is in process 'play' twice"),
-        ("rate: {default: 1.0}", "rate: 1.0", "argument 'rate': expected 'default' and 'help', found 1.0"),
+        ("rate: {default: 1.0}", "rate: 1.0", "argument 'rate': expected 'default', 'help' and 'choices', found 1.0"),
+        ("[fast, slow]", "fast", "argument 'how': choices: expected a list of texts, found 'fast'"),
+        ("[fast, slow]", "[1, 2]", "argument 'how': choices: expected a list of texts, found a list"),
+        ("[fast, slow]", "[slow]", "argument 'how': default: expected one of slow, found 'fast'"),
         ("restart: false", 'restart: "false"', "process 'play': restart: expected true or false, without quotes"),
         ("restart: false", "spare: 1", "process 'play': spare: expected true or false, without quotes, found 1"),
         ("ends_launch: true", "ends_launch: twin", "process 'play': ends_launch: expected true or false"),
@@ -320,7 +325,12 @@ def test_arguments_begin_at_home(small: Path, tmp_path: Path, monkeypatch: pytes
     assert read_launch_file(small, ["log:=~/a.mcap"]).sections["player"]["log"] == str(tmp_path / "a.mcap")
 
 
-def test_arguments_for_which_nothing_runs_are_told() -> None:
-    words = r"nothing to run with role:=twinn: .*twin: twinn == twin.*--show-args"
-    with pytest.raises(TwinError, match=words):
+def test_arguments_for_which_nothing_runs_are_told(small: Path) -> None:
+    small.write_text("launch: {arguments: {role: {}}, processes: {twin: {nodes: [twin], if: $(var role) == twin}}}")
+    with pytest.raises(TwinError, match=r"nothing to run with role:=twinn: .*twin: twinn == twin.*--show-args"):
+        read_launch_file(small, ["role:=twinn"])
+
+
+def test_a_machine_s_role_is_one_of_two() -> None:
+    with pytest.raises(TwinError, match="argument role: expected one of cameras, twin, found 'twinn'"):
         read_launch_file("launch/two_machines.yaml", ["role:=twinn"])

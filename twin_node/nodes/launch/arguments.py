@@ -26,6 +26,8 @@ class Argument:
     help: str = ""
     default: Any = None
     is_required: bool = False
+    choices: tuple[str, ...] = ()
+    """Its values; empty: any."""
 
 
 def launch_section(path: Path) -> dict[str, Any]:
@@ -62,11 +64,26 @@ def arguments_of(section: Mapping[str, Any], path: Path) -> tuple[Argument, ...]
     found = []
     for name, given in table_of(section, "arguments", path).items():
         entry = given or {}
-        if not isinstance(entry, dict) or set(entry) - {"default", "help"}:
-            raise GraphError(f"{path}: argument '{name}': expected 'default' and 'help', found {entry!r}")
+        if not isinstance(entry, dict) or set(entry) - {"default", "help", "choices"}:
+            raise GraphError(f"{path}: argument '{name}': expected 'default', 'help' and 'choices', found {entry!r}")
         is_required = "default" not in entry
-        found.append(Argument(str(name), str(entry.get("help", "")), entry.get("default"), is_required))
+        choices = _choices(entry.get("choices", []), f"{path}: argument '{name}'")
+        argument = Argument(str(name), str(entry.get("help", "")), entry.get("default"), is_required, choices)
+        if choices and not is_required:
+            _check_choice(argument, argument.default, f"{path}: argument '{name}': default")
+        found.append(argument)
     return tuple(found)
+
+
+def _choices(given: Any, where: str) -> tuple[str, ...]:
+    if not isinstance(given, list) or not all(isinstance(choice, str) for choice in given):
+        raise GraphError(f"{where}: choices: expected a list of texts, found {told(given)}")
+    return tuple(given)
+
+
+def _check_choice(argument: Argument, value: Any, where: str) -> None:
+    if argument.choices and value not in argument.choices:
+        raise GraphError(f"{where}: expected one of {', '.join(argument.choices)}, found {told(value)}")
 
 
 def values_given(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> dict[str, Any]:
@@ -89,6 +106,7 @@ def values_given(arguments: Sequence[Argument], given: Sequence[str], path: Path
 
 def _typed(argument: Argument, text: str, path: Path) -> Any:
     """A value of the type of the argument's default; text where it has none."""
+    _check_choice(argument, text, f"{path}: argument {argument.name}")
     kind = type(argument.default)
     if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
         return str(Path(text).expanduser()) if text.startswith("~/") else text
