@@ -189,6 +189,18 @@ MISTAKES = {
     "size without end": (lambda d, c: c.update(size=[10**400, 2]), r"left.*size: expected 2 numbers"),
     "rate in shares": (lambda d, c: c.update(time_rate_ppm=2e4), r"left.*time_rate_ppm: .*found 20000"),
     "rate without reference": (lambda d, c: c.update(time_rate_ppm=20.0), r"left.*expected `time_reference`"),
+    "sigmas of half a lens": (
+        lambda d, c: c.update(evidence={"lens_sigmas": [1, 1, 2]}),
+        r"cameras\[0\]\.evidence\.lens_sigmas: expected 1 sigma of fx, .*, found \[1\.0, 1\.0, 2\.0\]",
+    ),
+    "sigma below 0": (
+        lambda d, c: c.update(evidence={"lens_sigmas": [1, -1, 2, 2]}),
+        r"lens_sigmas: expected .* none below 0, found",
+    ),
+    "half a covariance": (
+        lambda d, c: c.update(evidence={"pose_covariance": np.triu(np.ones((6, 6))).tolist()}),
+        r"cameras\[0\]\.evidence\.pose_covariance: expected a symmetric matrix, found another",
+    ),
     "exponent that YAML takes for text": (lambda d, c: c.update(sigma_m="1e-3"), r"left.*sigma_m: .*1\.0e-3"),
 }
 

@@ -11,6 +11,9 @@ from twin_node.rig.errors import RigError
 from twin_node.rig.yaml_fields import Fields
 from twin_node.scene import Float64
 
+LEAST_SIGMAS = 4
+"""Of a lens: fx, fy, cx, cy; each distortion coefficient has one more."""
+
 
 @dataclass(frozen=True)
 class CameraEvidence:
@@ -40,13 +43,19 @@ def read_evidence(fields: Fields) -> CameraEvidence:
     covariance = fields.array("pose_covariance", (6, 6)) if fields.has("pose_covariance") else None
     if covariance is not None and not np.allclose(covariance, covariance.T, rtol=1e-3, atol=1e-12):
         raise RigError(f"{fields.where}.pose_covariance: expected a symmetric matrix, found another; copy it whole")
+    lens_sigmas = fields.array("lens_sigmas", None) if fields.has("lens_sigmas") else None
+    if lens_sigmas is not None and (len(lens_sigmas) < LEAST_SIGMAS or (lens_sigmas < 0).any()):
+        raise RigError(
+            f"{fields.where}.lens_sigmas: expected 1 sigma of fx, fy, cx, cy and each distortion coefficient, none "
+            f"below 0, found {lens_sigmas.tolist()}; copy it whole"
+        )
     return CameraEvidence(
         fields.number("rms_px") if fields.has("rms_px") else None,
         fields.number("median_px") if fields.has("median_px") else None,
         int(fields.number("views", 0)),
         int(fields.number("corners", 0)),
         covariance,
-        fields.array("lens_sigmas", None) if fields.has("lens_sigmas") else None,
+        lens_sigmas,
         fields.number("time_offset_sigma") if fields.has("time_offset_sigma") else None,
         fields.number("time_rate_sigma_ppm") if fields.has("time_rate_sigma_ppm") else None,
     )
