@@ -61,6 +61,44 @@ def test_a_camera_that_was_moved_or_whose_clock_was_set_half_way_is_named(fault:
         calibrate_rig(BOARD, cameras, RigOptions(lenses=False, board=False))
 
 
+@pytest.mark.parametrize(
+    ("moved_m", "late_ms", "told"),
+    [
+        (
+            0.0,
+            15,
+            r"expected stamps of one clock, as --fixed-clocks says, found .* off those of cam0, .* cam1's 1[0-9] ms",
+        ),
+        (
+            0.02,
+            0,
+            r"camera cam1: expected one place and one clock all along, found its later images (1[3-9]|2[0-5]) mm",
+        ),
+        (0.0, 1, None),
+    ],
+)
+def test_clocks_that_were_said_to_be_one_are_told_to_differ_where_they_do(
+    moved_m: float, late_ms: int, told: str | None
+) -> None:
+    """Of three that differ by up to 29 ms one was told to have been moved by 16 mm."""
+    places = around(3)
+    cameras = [
+        replace(record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i)), lens=a_lens())
+        for i, T in enumerate(places)
+    ]
+    later = record(
+        BOARD, a_lens(), places[1] @ pose(np.eye(3), np.array([moved_m, 0, 0])), "cam1", np.random.default_rng(1)
+    )
+    found = (*cameras[1].found[:60], *later.found[60:])
+    cameras[1] = replace(cameras[1], found=found, stamps=cameras[1].stamps + late_ms * 10**6)
+    options = RigOptions(lenses=False, board=False, clocks=False)
+    if told is None:
+        assert np.abs(errors_of(calibrate_rig(BOARD, cameras, options))).max() < 0.003
+        return
+    with pytest.raises(RigError, match=told):
+        calibrate_rig(BOARD, cameras, options)
+
+
 def test_a_camera_that_was_turned_about_its_own_centre_is_told_to_stand_where_it_stood() -> None:
     """Turned by half a degree, 1.8 m from the first camera, it was told to be 18 mm off."""
     places = around(3)

@@ -103,6 +103,23 @@ def check_lenses(names: Sequence[str], witnesses: Witnesses) -> None:
         )
 
 
+def check_clocks(names: Sequence[str], witnesses: Witnesses) -> None:
+    """Raises `RigError` where clocks that were fixed, as those of cameras that share a trigger, differ.
+
+    What clocks are off by bends places: cameras would be told to have moved. One that was moved meanwhile may want
+    another clock, too, and is told so.
+    """
+    told = witnesses.other_clocks()
+    if told.gain > MOST_GAIN and told.matter:
+        if most_gained(witnesses) > FAR_MORE * told.gain:
+            check_steady(names, witnesses)
+        off = [f"{name}'s {1e3 * abs(s):.0f} ms" for name, s in zip(names[1:], told.later_s[1:], strict=True)]
+        raise RigError(
+            f"cameras {', '.join(names)}: expected stamps of one clock, as --fixed-clocks says, found them off those "
+            f"of {names[0]}, by a first guess {', '.join(off)}; leave out --fixed-clocks"
+        )
+
+
 def _alone(lens: Lens, points: Float64, sightings: Sequence[Sighting]) -> float:
     """Median distance, pixels, of corners from a board [P, 3] that lies wherever the image itself wants it."""
     residuals = []

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from twin_node.rig.calibrate.boards import Board, Corners
 from twin_node.rig.calibrate.bundle import BoardFreedom, BundleOptions, BundleResult, Sighting
 from twin_node.rig.calibrate.bundle_solver import solve_bundle, with_board_that_pays
-from twin_node.rig.calibrate.contradictions import check_board, check_fit, check_lenses
+from twin_node.rig.calibrate.contradictions import check_board, check_clocks, check_fit, check_lenses
 from twin_node.rig.calibrate.intrinsics import MIN_CORNERS, BoardView, DroppedView, calibrate_lens, usable
 from twin_node.rig.calibrate.islands import islands
 from twin_node.rig.calibrate.lenses import Lens, homogeneous, pixel_rays
@@ -112,8 +112,10 @@ def calibrate_rig(board: Board, cameras: Sequence[CameraRecording], options: Rig
     bundle = _solved(start, options)
     moving, names = all(camera.moving for camera in members), tuple(camera.name for camera in members)
     check_board(board, bundle)
-    check_fit(names, start.state.lenses, start.sightings, bundle, moving)
     witnesses = Witnesses.of(start.sightings, bundle)
+    if not options.clocks:
+        check_clocks(names, witnesses)
+    check_fit(names, start.state.lenses, start.sightings, bundle, moving)
     if not options.lenses:
         check_lenses(names, witnesses)
     check_steady(names, witnesses)

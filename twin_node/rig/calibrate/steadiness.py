@@ -19,16 +19,13 @@ from twin_node.rig.calibrate.bundle import BundleResult
 from twin_node.rig.calibrate.bundle_solver import LEAST_SHARE
 from twin_node.rig.calibrate.lenses import Lens, pixel_rays, project
 from twin_node.rig.calibrate.rotations import apart
-from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, Witnesses
+from twin_node.rig.calibrate.witnesses import MOST_GAIN, MOVED_M, MOVED_RAD, SET_S, Witnesses
 from twin_node.rig.errors import RigError
 from twin_node.scene import Bool, Float64
 
 SHARES = 0.06, 0.5, 0.94
 """Of a camera's images, after which the others are taken for another one's: where it was moved shortly after the start
 or before the end, its middle tells nothing."""
-
-SET_S = 0.005
-"""A clock that was set by less is no matter."""
 
 ELSEWHERE_IMAGES, ELSEWHERE_SIGMAS = 3, 10.0
 """So many images that were left out tell that their camera was moved where one place explains them all, to so many

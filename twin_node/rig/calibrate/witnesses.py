@@ -20,6 +20,9 @@ MOST_GAIN = 25.0
 MOVED_M, MOVED_RAD = 0.003, 2e-3
 """What cameras are further off by matters: 3 mm, a tenth of a degree."""
 
+SET_S = 0.005
+"""A clock that is off by less is no matter."""
+
 LIKE_PX = 1.0
 """A board that has moved by less in an image says nothing new: detectors err as they did before, and ten images of a
 board at rest are one witness."""
@@ -60,6 +63,21 @@ class OtherLens:
     def matters(self) -> bool:
         """Whether it makes cameras stand elsewhere by more than rigs are wanted to be right to."""
         return self.shift_m > MOVED_M or self.turn_rad > MOVED_RAD
+
+
+@dataclass(frozen=True)
+class OtherClocks:
+    """The cameras' clocks as their images would have them, where they were given as one."""
+
+    gain: float
+    """Half the sum of squares, in sigmas, that a step with clocks of their own would be less by."""
+    later_s: Float64
+    """[C] s to add to each camera's time; the first's is right."""
+
+    @property
+    def matter(self) -> bool:
+        """Whether one of them is off by more than cameras that share a trigger are."""
+        return bool((np.abs(self.later_s) > SET_S).any())
 
 
 @dataclass(frozen=True)
@@ -117,13 +135,25 @@ class Witnesses:
             out.append(OtherLens(gain, float(lens.K[0, 0] + change[own][0]), float(shift_m), float(turn_rad)))
         return out
 
-    def _step(self, cameras: Sequence[int], sightings: Sequence[Sighting]) -> Step:
-        about = self._about(cameras, sightings)
+    def other_clocks(self) -> OtherClocks:
+        """As they would be if clocks that are fixed were free; of a board at rest, right."""
+        everyone = range(len(self.bundle.state.lenses))
+        step = self._step(everyone, self.sightings, clocks=True)
+        later_s = [float(step.change.outer[step.layout.clock(i)][:1].sum()) for i in everyone]
+        return OtherClocks(step.gain - self.undivided.gain, np.array(later_s))
+
+    def _step(self, cameras: Sequence[int], sightings: Sequence[Sighting], clocks: bool = False) -> Step:
+        about = self._about(cameras, sightings, clocks=clocks)
         change = about.equations.solution(DAMPING)
         return Step(change, about.equations.promise(change), about.layout, self.bundle.state.T_cam_rig[cameras])
 
-    def _about(self, cameras: Sequence[int], sightings: Sequence[Sighting], lenses: bool = False) -> _About:
-        """The equations about the bundle's state, of cameras that are as `cameras` of it are."""
+    def _about(
+        self, cameras: Sequence[int], sightings: Sequence[Sighting], lenses: bool = False, clocks: bool = False
+    ) -> _About:
+        """The equations about the bundle's state, of cameras that are as `cameras` of it are.
+
+        `lenses`, `clocks`: which are free though they were fixed; lenses that were free are fixed.
+        """
         bundle = self.bundle
         state = replace(
             bundle.state,
@@ -133,7 +163,8 @@ class Witnesses:
             readouts=bundle.state.readouts[cameras],
             delays=self.delays,
         )
-        problem = BundleProblem(state, sightings, BundleOptions(lenses=lenses, clocks=bundle.layout.clocks))
+        free = BundleOptions(lenses=lenses, clocks=clocks or bundle.layout.clocks, delays=bundle.layout.clocks)
+        problem = BundleProblem(state, sightings, free)
         problem.jitter, problem.hands = bundle.jitter_s[cameras], bundle.hands
         equations = problem.equations(problem.look(state), problem.seen, bundle.noise_px[cameras])
         return _About(problem.layout, equations)
