@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +18,7 @@ from twin_node.nodes.topics import CLOCK, DIAGNOSTICS, kind_of
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.lifecycle_services import Transition
 from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.services import PATIENCE_S
 from twin_node.runtime.wire import LocalWire
 
 WAIT_S = 60.0
@@ -56,12 +59,13 @@ class Bench:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.life: list[str] = []
+        self.said: list[str] = []
         self.fails: set[str] = set()
         self.nodes: list[Echo] = []
         self.ended = threading.Event()
         self.wire = LocalWire()
         monkeypatch.setattr(node_thread, "find_factory", lambda name: self.make)
-        self.thread = NodeThread("echo", ORDER, self.wire, SystemClock(), self.ended.set, print)
+        self.thread = NodeThread("echo", ORDER, self.wire, SystemClock(), self.ended.set, self.said.append)
         self.send = self.wire.publisher("test", CLOCK, kind_of(CLOCK))
         self.thread.configure()
         self.thread.start()
@@ -104,6 +108,31 @@ def test_a_deactivated_node_does_nothing_until_it_is_activated(bench: Bench) -> 
     bench.thread.stop()
     assert bench.life == ["configure", "activate", "deactivate", "cleanup"] * 2
     assert bench.thread.error is None
+
+
+def test_whoever_launched_a_node_is_told_of_its_transitions(bench: Bench) -> None:
+    """Somebody shut the arm's node down: it stood for good, and the launch had nothing to say of it."""
+    bench.said.clear()
+    assert bench.go(Transition.DEACTIVATE)
+    assert bench.go(Transition.INACTIVE_SHUTDOWN)
+    assert bench.said == ["node echo deactivated, as somebody asked", "node echo shut down, as somebody asked"]
+
+
+def test_a_transition_that_nobody_waits_for_any_more_is_not_gone_through(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node that hung would be active, or end, when it comes to itself, though its user was told that it is dead."""
+    hangs, begun = threading.Event(), threading.Event()
+    real, late = time.monotonic, [0.0]
+    monkeypatch.setattr("twin_node.runtime.executor.time", SimpleNamespace(monotonic=lambda: real() + late[0]))
+    bench.thread.change(Transition.CONFIGURE, lambda _: (begun.set(), hangs.wait(WAIT_S)))
+    assert begun.wait(WAIT_S)
+    bench.thread.change(Transition.DEACTIVATE, lambda _: None)
+    late[0] = PATIENCE_S
+    hangs.set()
+    assert bench.is_heard(WAIT_S)
+    assert bench.thread.lifecycle is LifecycleState.ACTIVE
+    bench.thread.stop()
 
 
 def test_a_node_can_be_cleaned_up_and_configured(bench: Bench) -> None:

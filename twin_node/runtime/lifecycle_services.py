@@ -36,6 +36,8 @@ class Step:
     label: str
     start: LifecycleState
     meanwhile: int
+    done: str
+    """What has become of the node then, in words."""
 
     @property
     def is_shutdown(self) -> bool:
@@ -45,13 +47,13 @@ class Step:
 
 SHUTDOWN = "shutdown"
 STEPS: Mapping[Transition, Step] = {
-    Transition.CONFIGURE: Step("configure", LifecycleState.UNCONFIGURED, 10),
-    Transition.CLEANUP: Step("cleanup", LifecycleState.INACTIVE, 11),
-    Transition.ACTIVATE: Step("activate", LifecycleState.INACTIVE, 13),
-    Transition.DEACTIVATE: Step("deactivate", LifecycleState.ACTIVE, 14),
-    Transition.UNCONFIGURED_SHUTDOWN: Step(SHUTDOWN, LifecycleState.UNCONFIGURED, 12),
-    Transition.INACTIVE_SHUTDOWN: Step(SHUTDOWN, LifecycleState.INACTIVE, 12),
-    Transition.ACTIVE_SHUTDOWN: Step(SHUTDOWN, LifecycleState.ACTIVE, 12),
+    Transition.CONFIGURE: Step("configure", LifecycleState.UNCONFIGURED, 10, "configured"),
+    Transition.CLEANUP: Step("cleanup", LifecycleState.INACTIVE, 11, "cleaned up"),
+    Transition.ACTIVATE: Step("activate", LifecycleState.INACTIVE, 13, "activated"),
+    Transition.DEACTIVATE: Step("deactivate", LifecycleState.ACTIVE, 14, "deactivated"),
+    Transition.UNCONFIGURED_SHUTDOWN: Step(SHUTDOWN, LifecycleState.UNCONFIGURED, 12, "shut down"),
+    Transition.INACTIVE_SHUTDOWN: Step(SHUTDOWN, LifecycleState.INACTIVE, 12, "shut down"),
+    Transition.ACTIVE_SHUTDOWN: Step(SHUTDOWN, LifecycleState.ACTIVE, 12, "shut down"),
 }
 LABELS: Mapping[int, str] = {
     0: "unknown",

@@ -26,6 +26,7 @@ from twin_node.runtime.node import LifecycleState, Node
 from twin_node.runtime.parameter_services import serve_parameters
 from twin_node.runtime.parameter_values import Parameter
 from twin_node.runtime.parameters import fill
+from twin_node.runtime.services import PATIENCE_S
 from twin_node.runtime.wire import Encoded, Wire
 from twin_node.runtime.wire_bus import Traffic, WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters
@@ -70,6 +71,7 @@ class NodeThread:
         self._say = say
         self._executor = Executor()
         self._orders = self._executor.inbox(lambda do: do(), 16)
+        self._changes = self._executor.inbox(lambda do: do(), 16, lifespan_s=PATIENCE_S)
         self._jumps = self._executor.inbox(lambda _: self._remake(), 1)
         """Of jumps in time that come while the node is busy, be it with the one before, the last is enough."""
         self._lines = self._executor.inbox(self._log, LINES_KEPT)
@@ -134,8 +136,11 @@ class NodeThread:
         return LifecycleState.UNCONFIGURED if self._node is None else self._node.state
 
     def change(self, transition: Transition, done: Callable[[bool], None]) -> None:
-        """Leads the node through a transition, in its thread, and calls `done(whether it went)` there."""
-        self._orders.offer(partial(self._change, transition, done))
+        """Leads the node through a transition, in its thread, and calls `done(whether it went)` there.
+
+        Not at all where the node comes to it when nobody waits for the answer any more.
+        """
+        self._changes.offer(partial(self._change, transition, done))
 
     def begin_anew(self) -> None:
         """Replaces the node by a fresh one, in its thread."""
@@ -206,6 +211,7 @@ class NodeThread:
         except BaseException:
             done(False)
             raise
+        self._tell(f"node {self.name} {STEPS[transition].done}, as somebody asked")
         done(True)
 
     def _go(self, transition: Transition) -> None:
