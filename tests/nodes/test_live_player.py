@@ -17,7 +17,7 @@ from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
 from twin_node.nodes.live.player import PlayNode, PlayParameters
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, kind_of
+from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, kind_of, kind_of_own
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import TopicKind
@@ -29,6 +29,7 @@ STRING = "std_msgs/msg/String"
 START, STEP = 1_000_000_000_000, 50_000_000
 FAST = 1000.0
 WAIT_S = 60.0
+CLOCK_KIND = kind_of_own(CLOCK)
 
 
 @pytest.fixture
@@ -177,6 +178,16 @@ def test_the_clock_ticks_with_the_log(log: Path) -> None:
     theatre = Theatre(log, clock=100.0, read_ahead_queue_size=1)
     theatre.play()
     assert theatre.clock == [START + i * 10_000_000 for i in range(46)]
+
+
+def test_the_clock_can_have_another_name(log: Path) -> None:
+    """Of a log that is played beside a launch whose clock is `/cell/clock`: `/clock` would be no topic of the log."""
+    theatre = Theatre(log, clock=100.0, remap=("/clock:=/cell/clock",))
+    heard: list[int] = []
+    theatre.wire.subscribe("test", "/cell/clock", CLOCK_KIND, lambda m: heard.append(convert.clock_from_message(m)))
+    theatre.play()
+    assert (heard, theatre.clock) == ([START + i * 10_000_000 for i in range(46)], [])
+    assert theatre.wire.topics["/cell/clock"] == CLOCK_KIND
 
 
 def test_a_loop_begins_again_and_its_clock_goes_back(log: Path) -> None:
@@ -338,6 +349,8 @@ def test_of_two_topics_with_one_name_on_the_graph_one_is_played_and_the_other_to
         ({"rate": 0.0}, "play: rate: expected 0.001 to 1000000, found 0"),
         ({"rate": 1e300}, "play: rate: expected 0.001 to 1000000, found 1e"),
         ({"clock": 1e-310}, "play: clock: expected 0.001 to 1000000, found 9.99"),
+        ({"remap": ("/clock:=/b",)}, "has no topic /clock; it holds /a, /b"),
+        ({"clock": 1.0, "remap": ("/clock:=/b",)}, "a name for the clock that no topic of the log has, found /b"),
         ({"clock": -1.0}, "play: clock: expected 0.001 to 1000000, found -1"),
         ({"delay": 1e300}, "play: delay: expected 0 to 86400, found 1e"),
         ({"read_ahead_queue_size": 0}, "play: read_ahead_queue_size: expected 1 or more, found 0"),

@@ -23,6 +23,7 @@ from twin_node.nodes.topics import (
     absolute,
     is_topic_name,
     kind_of,
+    kind_of_own,
     parse_remaps,
 )
 from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
@@ -63,7 +64,7 @@ class PlayParameters:
     topics: tuple[str, ...] = ()
     """Topics to play; none given: all."""
     remap: tuple[str, ...] = ()
-    """`FROM:=TO` pairs."""
+    """`FROM:=TO` pairs, of the log's topics and of the `/clock` that is published."""
     start_paused: bool = False
     read_ahead_queue_size: int = 1000
     """Messages read before they are due."""
@@ -96,6 +97,7 @@ class PlayNode(Node):
         self._parameters = parameters
         self._finish = setup.finish
         self._log: LogReader = open_log(Path(parameters.log))
+        self._clock_topic = parse_remaps(list(parameters.remap)).get(CLOCK, CLOCK)
         self._names = _names(self._log, parameters, setup.say)
         self._span: Span = span_of(self._log, parameters.start_offset, parameters.playback_duration or None)
         self._bus: WireBus = setup.bus
@@ -121,7 +123,8 @@ class PlayNode(Node):
                 self._bus.declare(self._names[topic.name], kind)
                 self._bus.advertise(self._names[topic.name])
         if self._parameters.clock:
-            self._bus.advertise(CLOCK)
+            self._bus.declare(self._clock_topic, kind_of_own(CLOCK))
+            self._bus.advertise(self._clock_topic)
 
     def on_activate(self) -> None:
         self._stop.clear()
@@ -163,7 +166,7 @@ class PlayNode(Node):
             while period and next_clock <= message.stamp:
                 if not self._wait_until(next_clock):
                     return
-                self._bus.publish(CLOCK, convert.clock_to_message(next_clock))
+                self._bus.publish(self._clock_topic, convert.clock_to_message(next_clock))
                 next_clock += period
             if not self._wait_until(message.stamp):
                 return
@@ -237,7 +240,7 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
     twice = [topic for topic in log.topics if held.setdefault(absolute(topic.name), topic) is not topic]
     remaps = parse_remaps(list(parameters.remap))
     asked = [absolute(topic) for topic in parameters.topics]
-    for name in (*asked, *remaps):
+    for name in (*asked, *(name for name in remaps if name != CLOCK or not parameters.clock)):
         if name not in held:
             raise GraphError(f"{log.path}: has no topic {name}; it holds {', '.join(sorted(held))}")
     unfit = _unfit(log, held, remaps)
@@ -256,6 +259,12 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
             say(f"not played: {line}")
     free = held.keys() - unfit.keys() - orders.keys() - ({CLOCK} if parameters.clock else set())
     names = {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
+    clock = remaps.get(CLOCK)
+    if parameters.clock and clock in names.values():
+        raise GraphError(
+            f"{log.path}: expected a name for the clock that no topic of the log has, found {clock}; remap {CLOCK} to "
+            "another"
+        )
     _check_types(log, names)
     return names
 
