@@ -7,12 +7,11 @@ import json
 import pytest
 import torch
 
-from twin_node.bench import raster
+from twin_node.bench import raster, raster_scene
+from twin_node.bench.raster_scene import Size
 
-SMALL = raster.Size(200, 32, 24)
-BENCH = raster.RasterBench(
-    (SMALL, raster.Size(100, 16, 16, 2)), (SMALL,), (SMALL,), (SMALL,), (0.5,), SMALL, SMALL, 2, 1
-)
+SMALL = Size(200, 32, 24)
+BENCH = raster.RasterBench((SMALL, Size(100, 16, 16, 2)), (SMALL,), (SMALL,), (SMALL,), (0.5,), SMALL, SMALL, 2, 1)
 
 
 def test_report_holds_every_figure():
@@ -42,6 +41,6 @@ def test_table_has_a_line_per_measurement():
 def test_gaussians_of_the_room_lie_flat_on_their_surface(normal: tuple[float, float, float]):
     from twin_node.geometry import rotation_from_quat
 
-    quat = raster._turn_z_to(torch.tensor([normal]))
+    quat = raster_scene._turn_z_to(torch.tensor([normal]))
     turned = rotation_from_quat(quat.numpy())[0] @ [0.0, 0.0, 1.0]
     assert turned == pytest.approx(normal, abs=1e-6)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from twin_node.bench.raster_scene import RoomScene
 from twin_node.splat import Aims, Bystanders, Course, Learners
 from twin_node.splat.captured_descent import Captured, Unrecorded, descend_captured
-
-if TYPE_CHECKING:
-    from twin_node.bench.raster import RoomScene
 
 STEPS = 3
 """Of a course, as the tracker takes them per set."""
