@@ -138,3 +138,16 @@ def test_who_stands_before_a_camera_whose_images_change_their_size_is_no_ground_
         gone = model.look(frames(3 * index, None, coarse, depth))
     assert not gone.warnings
     assert not is_blind(gone.frames.views[0])
+
+
+def test_a_camera_whose_images_change_their_size_in_the_dark_is_levelled_once_it_shows_something() -> None:
+    """What it had shown in the dark was remembered as what it sees at rest, beside which no exposure was ever told."""
+    coarse, model = frames(0, -0.15, (rig(56, 42)[0], *CAMERAS[1:])), WindowModel(QUICK)
+    model.update(at(0, STILL))
+    dark = model.update(at(1, coarse, flat(coarse.views[0], 0)))
+    assert is_blind(dark.frames.views[0])
+    for index in range(2, 4):
+        dim = replace(coarse.views[0], rgb=(0.5 * coarse.views[0].rgb).round().astype(np.uint8))
+        state = model.update(at(index, coarse, dim))
+    assert state.exposures[0].gains == pytest.approx(0.5, rel=0.12)
+    assert np.abs(state.frames.views[0].rgb.astype(float) - coarse.views[0].rgb).mean() < 12

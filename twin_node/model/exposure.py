@@ -84,16 +84,18 @@ class Exposures:
         """`frames` in the light of the model; `robots` [H, W] per view is where the arm may be.
 
         A view that no one rule explains is taken to be exposed as its camera was at first. What `joining` says is asked
-        of the first view of a camera that was not there when the model began.
+        of the first view that shows something of a camera that was not there when the model began, or has another size.
         """
         views, exposures = [], []
         for view, robot in zip(frames.views, robots, strict=True):
             memory = self._memories.get(view.camera.name)
+            if memory is not None and memory.shape != view.rgb.shape:
+                memory = None
             if memory is None and is_blind(view):
                 exposures.append(PLAIN)
                 views.append(view)
                 continue
-            if memory is None or memory.shape != view.rgb.shape:
+            if memory is None:
                 first = joining(view)
                 memory = self._memories[view.camera.name] = _Memory(levelled(view, first), first)
             still = _still(view, robot, self._moving.get(view.camera.name))
