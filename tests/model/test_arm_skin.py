@@ -88,6 +88,18 @@ def test_every_camera_teaches_the_arm_in_every_set() -> None:
     assert all(now < 0.98 * then for now, then in zip(missed(), before, strict=True))
 
 
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (80, 1)])
+def test_images_one_pixel_across_teach_nothing_of_the_arm(width: int, height: int) -> None:
+    """They ended in an error of OpenCV: the arm is looked at in blocks, of which such an image has none."""
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=1)), arm=ARM)
+    narrow = camera("narrow", (1.5, 0.3, 1.0), (0.0, 0, 0.3), width, height)
+    for index in range(3):
+        state = model.update(chequered(index, Q, seen_by=narrow)[0])
+        model.refine()
+    (mask,) = state.robot_masks
+    assert mask is not None and mask.any()
+
+
 def test_an_arm_that_looks_as_it_did_is_given_nothing_more() -> None:
     model = WindowModel(ModelParameters(seed=SeedParameters(steps=24)), arm=ARM)
     counts = [int((model.update(chequered(i, Q)[0]).gaussians.tiers == Tier.ROBOT).sum()) for i in range(30)]

@@ -112,7 +112,8 @@ class ArmSkin:
         Called while the links are where the set shows them; what it returns may be gone on with once they are not. An
         arm that does not turn soon stays as it is, to the bit.
         """
-        seen = [(one, mask) for one, mask in zip(observed, robots, strict=True) if mask is not None and mask.any()]
+        masks = zip(observed, robots, strict=True)
+        seen = [(one, mask) for one, mask in masks if mask is not None and mask.any() and min(mask.shape) >= BLOCK]
         if seen and self._is_known(joints):
             seen = []
         poses = self._motion.poses([one.offset_s for one, _ in seen])
