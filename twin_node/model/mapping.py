@@ -143,9 +143,8 @@ class Mapper:
         measured = views[index].rest.depth[rows, columns].astype(np.float64)
         others = [view for at, view in enumerate(views) if at != index]
         depth = np.where(measured > 0, measured, IN_FRONT * background.depth[rows, columns])
-        for candidate in (depth, IN_FRONT * background.surface[rows, columns]):
-            denied = (measured == 0) & _denied(others, camera.T_base_cam[:3, 3] + rays * depth[:, None], patches.rgb)
-            depth = np.where(denied, candidate, depth)
+        denied = (measured == 0) & _denied(others, camera.T_base_cam[:3, 3] + rays * depth[:, None], patches.rgb)
+        depth = np.where(denied, IN_FRONT * background.surface[rows, columns], depth)
         kept = (measured > 0) | ~_denied(others, camera.T_base_cam[:3, 3] + rays * depth[:, None], patches.rgb)
         means, radii = camera.T_base_cam[:3, 3] + rays * depth[:, None], SPREAD * BLOCK * depth / camera.K[0, 0]
         count, device = int(kept.sum()), self._gaussians.values.device

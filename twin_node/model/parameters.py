@@ -122,7 +122,7 @@ class MapParameters:
     patience_s: float = 0.5
     """For how long a pixel must have been at rest before what steps have not made good is given new Gaussians."""
     most_born: int = 40
-    """Gaussians born per set at most; more where sets are more than 1/15 s apart, by as much as they are."""
+    """Gaussians born per set at most."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""
