@@ -11,7 +11,7 @@ from twin_node.model.carriage import carry, carry_reference
 from twin_node.model.field import HexPlane
 from twin_node.model.kernels import kernels
 from twin_node.model.motion import Motion
-from twin_node.model.nodes import MAX_SPEED, MAX_TURN, Nodes, advanced, advanced_reference
+from twin_node.model.nodes import FORETOLD_NS, MAX_SPEED, MAX_TURN, Nodes, advanced, advanced_reference
 from twin_node.model.rotations import conjugate, quat_from_vector, quat_product, vector_from_quat
 from twin_node.scene import Tier
 
@@ -36,6 +36,14 @@ def test_a_constant_velocity_is_carried_on_exactly() -> None:
     assert nodes.positions[0, 0] == pytest.approx(0.5 * 6 * 0.033)
     ahead = nodes.extrapolated([0.2])
     assert ahead.positions[0, 0, 0] == pytest.approx(0.5 * (6 * 0.033 + 0.2))
+
+
+@pytest.mark.parametrize(("pause_ns", "gone_s"), [(FORETOLD_NS, 1.0), (FORETOLD_NS + 1, 0.0), (10**15, 0.0)])
+def test_after_a_pause_nodes_are_looked_for_where_they_were(pause_ns: int, gone_s: float) -> None:
+    nodes = moving_nodes(0.5)
+    nodes.predict(nodes.stamp + pause_ns, 1.0)
+    assert nodes.positions[0, 0] == pytest.approx(0.5 * (6 * 0.033 + gone_s))
+    assert nodes.stamp == 1000 + 6 * TICK_NS + pause_ns
 
 
 def test_the_window_remembers_and_interpolates() -> None:

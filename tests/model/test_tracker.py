@@ -116,3 +116,14 @@ def test_nodes_end_with_the_last_that_they_carry(following: WindowModel) -> None
     carried = torch.unique(model._gaussians.nodes[model._gaussians.alive])
     assert set(model._nodes.rows.tolist()) == set(carried[carried >= 0].tolist())
     assert not model.nodes_count
+
+
+def test_what_waits_while_no_images_come_is_found_where_it_was(following: WindowModel) -> None:
+    """It was foretold to go on: after half a minute nine metres away, and what stood there had to be born again."""
+    model, last = copy.deepcopy(following), sliding(12, CAMERAS, depth=True)[-1]
+    before, stamp = model.cloud(), last.stamp + 30_000_000_000
+    views = tuple(replace(view, stamp=stamp) for view in last.views)
+    after = model.update(replace(last, stamp=stamp, views=views)).gaussians
+    carried = [cloud.means[cloud.tiers == Tier.RIGID] for cloud in (before, after)]
+    assert len(carried[1]) >= len(carried[0]) > 20
+    assert abs(carried[1].mean(0) - carried[0].mean(0)).max() < 0.02

@@ -23,6 +23,10 @@ critically damped value for that alpha, because published velocities are extrapo
 MAX_SPEED, MAX_TURN = 5.0, 15.0
 """m/s and rad/s that no node exceeds: above a thrown arm's 4 m/s; more is a fit gone wrong."""
 
+FORETOLD_NS = 1_000_000_000
+"""Time from one set to the next for which nodes are foretold to go on as they did, ns: whoever reaches or walks has
+turned or stopped after longer, and at constant velocity they would be metres away."""
+
 NEVER: int = torch.iinfo(torch.int64).min
 """Stamp of a set of the window that has not come yet, before all others: clocks may begin anywhere."""
 
@@ -115,9 +119,11 @@ class Nodes:
     def predict(self, stamp: int, damping: float) -> None:
         """Moves poses on to `stamp` (ns) at constant velocity; velocities keep `damping` of themselves.
 
-        The arm's links stay where they are: where its joints have taken them is for `drive` to say.
+        After a pause of more than `FORETOLD_NS` nodes are looked for where they were. The arm's links stay where they
+        are: where its joints have taken them is for `drive` to say.
         """
-        ahead, driven = self.extrapolated([(stamp - self.stamp) * 1e-9]), (self.tiers == int(Tier.ROBOT))[:, None]
+        elapsed_ns, driven = stamp - self.stamp, (self.tiers == int(Tier.ROBOT))[:, None]
+        ahead = self.extrapolated([elapsed_ns * 1e-9 if elapsed_ns <= FORETOLD_NS else 0.0])
         self.positions = torch.where(driven, self.positions, ahead.positions[0])
         self.quats = torch.where(driven, self.quats, ahead.quats[0])
         self.velocities = self.velocities * damping
