@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from forecast_worlds import GRID, RIG, ball_voxels, state_of
 
-from twin_node.forecast import Forecaster, ForecastError
+from twin_node.forecast import BaselineForecaster, Forecaster, ForecastError
 from twin_node.forecast.narrowed import LEAST_WIDTH, NarrowedStates
 from twin_node.scene import Camera, TwinState
 
@@ -69,6 +69,15 @@ def test_the_forecast_is_that_of_the_fewer_pixels() -> None:
         assert np.array_equal(one.indices, other.indices)
         ahead = ball_voxels(place(found.stamp + one.horizon_ns))
         assert np.isin(ahead, one.indices).mean() > 0.95
+
+
+def test_baselines_stand_on_the_evidence_of_the_fewer_pixels_too() -> None:
+    """Else they are compared with forecasts of other masks and other surfaces."""
+    narrowed, of_all, of_fewer = NarrowedStates(GRID), BaselineForecaster(GRID), BaselineForecaster(GRID)
+    for state in states(4):
+        of_all.update(state, state.stamp)
+        of_fewer.update(narrowed.of(state), state.stamp)
+        np.testing.assert_array_equal(of_all.places, of_fewer.places)
 
 
 def test_masks_of_another_size_are_refused_as_those_of_small_images_are() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.evidence import Evidence, Observer
 from twin_node.forecast.growth import reach_of, shifts_of, spread
+from twin_node.forecast.narrowed import NarrowedStates
+from twin_node.forecast.pace import Pace
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.forecast.static import StaticParameters
 from twin_node.robot import ArmModel
@@ -46,11 +48,13 @@ class BaselineForecaster:
         self.grid = grid
         self.places = np.zeros((3, 0), np.int32)
         """[3, n] voxel coordinates of what the last state showed to move, also in the rim about the grid."""
+        self._narrowed = NarrowedStates(grid)
+        self._pace = Pace()
         self._observer = Observer(grid, carving or CarvingParameters(), static or StaticParameters(), arm)
 
     def update(self, state: TwinState, publish_stamp: int) -> Baselines:
         """The baselines at `publish_stamp` + `HORIZONS_NS`, on the evidence up to `state.stamp` (ns)."""
-        evidence = self._observer.observe(state)
+        evidence = self._observer.observe(self._narrowed.of(state), self._pace.pauses_before(state.stamp))
         self.places = evidence.parts.places
         ahead = (publish_stamp - state.stamp + np.array(HORIZONS_NS)) * 1e-9
         still = np.zeros(len(ahead))
