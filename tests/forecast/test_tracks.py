@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twin_node.forecast.points import PointForecaster
 from twin_node.forecast.tracks import Tracks
 
 PERIOD = 1 / 30
@@ -109,12 +110,21 @@ def test_nothing_to_follow_is_followed() -> None:
     assert tracks.positions.shape == (3, 0, 3)
 
 
-def test_of_two_samples_of_one_time_the_later_one_holds():
+@pytest.mark.parametrize("apart_s", [0.0, 1e-9, 5e-7])
+def test_of_two_samples_of_one_time_the_later_one_holds(apart_s: float) -> None:
     """Of two at one time nothing tells a velocity, and who asks where something was between them divides by nothing."""
     tracks = Tracks()
-    for time, x in ((0.0, 0.0), (0.1, 0.1), (0.1, 0.12), (0.2, 0.2)):
+    for time, x in ((0.0, 0.0), (0.1, 0.1), (0.1 + apart_s, 0.12), (0.2, 0.2)):
         tracks.extend(time, np.array([[x, 0.0, 0.0]]), np.array([-1 if time == 0 else 0]))
     history = tracks.history
-    assert history.times.tolist() == [0.0, 0.1, 0.2]
-    np.testing.assert_allclose(history.at(0.1), [[0.12, 0, 0]])
-    np.testing.assert_allclose(history.at(0.15), [[0.16, 0, 0]])
+    assert history.times.tolist() == [0.0, 0.1 + apart_s, 0.2]
+    np.testing.assert_allclose(history.at(0.1 + apart_s), [[0.12, 0, 0]])
+    np.testing.assert_allclose(history.at(0.15), [[0.16, 0, 0]], atol=1e-6)
+
+
+def test_stamps_that_nearly_repeat_tell_no_velocity() -> None:
+    """Noise over a nanosecond would be a speed of thousands of kilometres per second."""
+    forecaster = PointForecaster(1, np.array([0.2]))
+    for time, x in ((0.0, 0.0), (0.2, 0.1), (0.2 + 1e-9, 0.102)):
+        forecast = forecaster.update(time, np.array([[x, 0.0, 0.0]]))
+    assert np.abs(forecast.displacements).max() < 0.3

@@ -21,6 +21,8 @@ MOST_SPEED = 15.0
 """What is further off than this speed allows is something else, m/s: half as fast again as a throw overarm."""
 JUMP = 0.3
 """Leaps shorter than this are motion at any rate, m."""
+ONE_TIME_S = 1e-6
+"""Samples no further apart are of one time, s: over less, noise of millimetres would be a speed of kilometres."""
 
 
 class Tracks:
@@ -57,7 +59,7 @@ class Tracks:
         rows = np.where(leaps, -1, rows)
         moved = np.where(rows[:, None] < 0, 0, positions - last)
         self._go_on(time, rows, positions, positions, shift=False)
-        self.velocities = moved / step if step > 0 else np.zeros_like(moved)
+        self.velocities = moved / step if step > ONE_TIME_S else np.zeros_like(moved)
         return Association(rows, rows)
 
     def follow(self, time: float, centers: Float64, velocities: Float64) -> Association:
@@ -101,5 +103,5 @@ class Tracks:
             self.born = np.where(new, time, self.born[rows])
         paths[-1] = positions
         times = np.append(self.times[kept:], time)
-        is_last = np.append(np.diff(times) > 0, True)  # of one time the later sample holds
+        is_last = np.append(np.diff(times) > ONE_TIME_S, True)  # of one time the later sample holds
         self.positions, self.times = (paths, times) if is_last.all() else (paths[is_last], times[is_last])
