@@ -63,6 +63,14 @@ def test_distance_to_the_forecast_is_zero_inside_and_measured_outside() -> None:
     assert np.isinf(nearest_error(GRID, layer(np.zeros(0, int)), center)).all()
 
 
+def test_points_that_were_not_seen_are_no_distance_from_a_forecast() -> None:
+    """Markers go missing; what no number becomes as a whole one is a warning, and differs between processors."""
+    center = GRID.centers(np.array([7]))
+    with np.errstate(invalid="raise"):
+        errors = nearest_error(GRID, layer(np.array([7])), np.concatenate([center, np.full((1, 3), np.nan)]))
+    np.testing.assert_array_equal(errors, [0.0])
+
+
 def test_colours_are_told_apart_across_the_end_of_the_hue_circle() -> None:
     rgb = np.array([[[255, 100, 20], [255, 0, 30], [30, 60, 255], [120, 110, 100]]], np.uint8)
     assert colour_mask(rgb, 8).tolist() == [[True, False, False, False]]

@@ -96,17 +96,18 @@ def iou(predicted: Bool, truth: Bool) -> float:
 def nearest_error(grid: Grid, layer: OccupancyLayer, points: Float64) -> Float64:
     """Distances [n] in metres from points [m, 3] to the nearest voxel centre of the layer; 0 inside it.
 
-    Points outside the grid are left out; infinite where the layer is empty.
+    Points that are not finite or outside the grid are left out; infinite where the layer is empty.
     """
     from scipy.spatial import cKDTree  # loads slowly, and who only reads parameters never asks
 
-    places = grid.indices(points)
+    finite = points[np.isfinite(points).all(axis=1)]
+    places = grid.indices(finite)
     kept = np.flatnonzero(places >= 0)
     held = contains(grid, layer.indices, places[kept])
     errors = np.zeros(len(kept))
     if not held.all():
         centers = grid.centers(layer.indices)
-        errors[~held] = cKDTree(centers).query(points[kept[~held]])[0] if len(centers) else np.inf
+        errors[~held] = cKDTree(centers).query(finite[kept[~held]])[0] if len(centers) else np.inf
     return errors
 
 
