@@ -145,3 +145,17 @@ def test_images_from_before_a_long_gap_tell_no_velocity(gap_s: float, is_told: b
     moving, _ = velocities.update(later, parts, unknown(parts))
     assert (moving.sigmas < 1.0).all() == is_told
     assert (moving.sigmas == UNKNOWN_SPEED).all() != is_told
+
+
+@pytest.mark.parametrize(("width", "height", "is_told"), [(16, 6, 0), (100, 7, 0), (11, 11, 0), (64, 8, 1)])
+def test_images_too_small_for_optical_flow_tell_no_velocity(width: int, height: int, is_told: int) -> None:
+    """As those of a wide strip at the least width are; OpenCV refuses them."""
+    scale = width / RIG[0].width
+    K = np.array([[90 * scale, 0, width / 2], [0, 90 * scale, height / 2], [0, 0, 1]])
+    shallow = tuple(replace(one, width=width, height=height, K=K) for one in RIG)
+    velocities, center = PartVelocities(RigTables(GRID)), np.array([0.0, 0.0, 0.45])
+    parts = parts_of_ball(center, 0.2)
+    for number in range(2):
+        state = state_of(round(number * PERIOD_S * 1e9), center, radius=0.2, cameras=shallow)
+        moving, _ = velocities.update(state, parts, unknown(parts))
+    assert (moving.sigmas < UNKNOWN_SPEED).any() == is_told

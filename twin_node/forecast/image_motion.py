@@ -167,10 +167,13 @@ class ImageMotion:
     def elapsed_s(self) -> float | None:
         """Time between the last two images, s; None where there are not two that can be compared.
 
-        Those of before and after a long gap cannot: what has gone to and fro meanwhile would be told to stand.
+        Those of before and after a long gap cannot: what has gone to and fro meanwhile would be told to stand. Nor can
+        those that are too small for optical flow.
         """
         now, before = self._now, self._before
         if now is None or before is None or before.grey.shape != now.grey.shape:
+            return None
+        if min(now.grey.shape) < _LEAST_SIDE or max(now.grey.shape) < _LEAST_LENGTH:
             return None
         elapsed_s = (now.stamp - before.stamp) * 1e-9
         return elapsed_s if 0 < elapsed_s <= LONGEST_GAP_S else None
@@ -257,6 +260,8 @@ ALIKE_GREY = 30
 """Difference in brightness up to which two pixels may show the same, of 255: four sigmas of noise in poor light."""
 _SMALLEST_WINDOW = 32
 """Side in pixels of the smallest image that optical flow is computed on: two coarse patches."""
+_LEAST_SIDE, _LEAST_LENGTH = 8, 12
+"""Pixels of the shorter and the longer side of the smallest images that OpenCV computes it on at all."""
 
 
 def near(mask: Bool, pixels: int) -> Bool:
