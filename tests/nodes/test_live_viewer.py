@@ -118,8 +118,8 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
     made.close()
 
 
-def publisher(topic: str) -> Endpoint:
-    kind = kind_of(topic)
+def publisher(topic: str, msgtype: str | None = None) -> Endpoint:
+    kind = kind_of(topic) or TopicKind(msgtype)
     node = NodeIdentity("a" * 32, 1, "cameras")
     return Endpoint(EntityKind.PUBLISHER, node, 1, topic, kind.msgtype or "", "", kind.qos)
 
@@ -151,6 +151,23 @@ def test_a_graph_tells_of_its_cameras(graph: Graph, cell_log: Callable[..., Path
     # A handle can be found by its name a moment before viser gives it its image.
     graph.until(lambda: getattr(graph.handle("/cameras/cam_front"), "image", None) is not None)
     assert graph.handle("/cameras/cam_front").image.shape[1] == 32
+
+
+def test_cameras_are_shown_whatever_their_drivers_call_their_topics(graph: Graph) -> None:
+    """One such camera on the graph, and nothing of the twin was shown."""
+    front = RigCamera("front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    image = convert.raw_image("front", START, np.zeros((48, 64, 3), np.uint8))
+    told = {"/front/image_color": image, "/front/lens": convert.camera_info(front, START)}
+    graph.published += [publisher(topic, message.__msgtype__) for topic, message in told.items()]
+    graph.send(TF_STATIC, convert.tf_static(Rig((front,)), START))
+
+    def is_shown() -> bool:
+        for topic, message in told.items():
+            graph.wire.publisher("driver", topic, TopicKind(message.__msgtype__))(message)
+        return getattr(graph.handle("/cameras/front"), "image", None) is not None
+
+    graph.until(is_shown)
+    assert graph.handle("/cameras/front").image.shape[1] == 32
 
 
 def test_cameras_that_are_calibrated_anew_are_shown_where_they_are_now(graph: Graph) -> None:

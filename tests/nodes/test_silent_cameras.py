@@ -28,7 +28,9 @@ NAMES = ("front", "left")
 class Cell:
     """The synchroniser of a launch with two cameras, in a time of the test's own."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, image: str = "image_raw") -> None:
+        """`image`: what the driver calls its images."""
+        self._image = image
         monkeypatch.setattr(time, "monotonic", lambda: self.now_s)
         self.now_s = 100.0
         K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
@@ -36,7 +38,7 @@ class Cell:
         self.wire, self.executor, self.said = LocalWire(), Executor(), list[str]()
         self.graph: tuple[Endpoint, ...] = ()
         bus, self.clock = WireBus(self.wire, self.executor, "synchronizer", kind_of), SystemClock()
-        sections = {"/**": {"rig": {"file": str(folder / "rig.yaml"), "image": "image_raw"}}}
+        sections = {"/**": {"rig": {"file": str(folder / "rig.yaml"), "image": image}}}
         self.node = make_synchronizer(
             Setup(
                 *("synchronizer", bus, self.clock, self.executor, sections, "test", lambda: None, lambda: self.graph),
@@ -59,7 +61,7 @@ class Cell:
             self.now_s += LOOK_S
             for name in cameras:
                 message = convert.raw_image(name, self.clock.now(), np.zeros((12, 16, 3), np.uint8))
-                self.wire.publisher("driver", f"/{name}/image_raw", TopicKind(RAW, RELIABLE))(message)
+                self.wire.publisher("driver", f"/{name}/{self._image}", TopicKind(RAW, RELIABLE))(message)
             while self.executor.step(0.0):
                 pass
         said, self.said[:] = list(self.said), []
@@ -69,6 +71,12 @@ class Cell:
 @pytest.fixture
 def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cell:
     return Cell(tmp_path, monkeypatch)
+
+
+def test_images_are_heard_whatever_their_driver_calls_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ZED's and many others do; a launch was refused, with words for programmers."""
+    cell = Cell(tmp_path, monkeypatch, image="rgb/image_rect_color")
+    assert cell.run(PATIENCE_S + 5, *NAMES) == []
 
 
 def test_who_sees_nothing_says_which_topics_nobody_publishes(cell: Cell) -> None:

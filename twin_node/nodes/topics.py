@@ -99,11 +99,12 @@ _MESSAGE_TYPES = {
     **dict.fromkeys((TRUSTED_FRAMES, DRIFT, SEEN, STATE, FORECAST), TopicKind(None, EVERY)),
 }
 """What the graph's own topics carry; a set of images that a newer one has replaced is of no use to anybody."""
+_INFO = TopicKind(CAMERA_INFO, Qos(depth=1, latched=True, repeats=True))
 _SUFFIXES = {
     "/compressed": TopicKind(COMPRESSED, SENSOR_DATA),
     "/compressedDepth": TopicKind(COMPRESSED, SENSOR_DATA),
     "/zstd": TopicKind(COMPRESSED, SENSOR_DATA),
-    "/camera_info": TopicKind(CAMERA_INFO, Qos(depth=1, latched=True, repeats=True)),
+    "/camera_info": _INFO,
     "/image_raw": TopicKind(RAW, SENSOR_DATA),
     "/image_rect": TopicKind(RAW, SENSOR_DATA),
     SPEED_SCALING_INPUT: TopicKind("control_msgs/msg/SpeedScalingFactor", Qos(depth=1, latched=True, repeats=True)),
@@ -148,6 +149,14 @@ class CameraTopics:
     """Whether its images have been rectified already."""
     is_depth_aligned: bool = False
     """Whether the depth's name says that it is aligned with the colour image."""
+
+    @property
+    def kinds(self) -> dict[str, TopicKind]:
+        """What each of its topics carries, whatever their names say."""
+        images = {self.image: self.image_type, self.depth: self.depth_type}
+        infos = dict.fromkeys((self.info, self.depth_info), _INFO)
+        found = infos | {topic: TopicKind(msgtype, SENSOR_DATA) for topic, msgtype in images.items()}
+        return {topic: kind for topic, kind in found.items() if topic is not None}
 
 
 def parse_remaps(remaps: Sequence[str]) -> dict[str, str]:

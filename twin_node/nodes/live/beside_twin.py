@@ -42,6 +42,9 @@ class LiveSynchronizerNode(SynchronizerNode):
         super().__init__(
             setup.bus, setup.clock, source.cameras, source.rig, parameters, setup.timers, joint_names=joint_names
         )
+        for camera in source.cameras:
+            for topic, kind in camera.kinds.items():
+                setup.bus.declare(topic, kind)
         told = {camera.name for camera in source.rig.cameras if camera.depth_lens is not None}
         untold = [camera for camera in source.cameras if camera.name not in told]
         self._lenses = DepthLenses(setup.bus, untold, self.see_depth_by, setup.say, setup.endpoints)

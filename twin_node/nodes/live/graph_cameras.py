@@ -39,6 +39,7 @@ class GraphCameras:
         for camera in cameras:
             if camera.info not in self._asked and self._rig is None:
                 self._asked.add(camera.info)
+                self._bus.declare(camera.info, camera.kinds[camera.info])
                 self._bus.subscribe(camera.info, partial(self._infos.__setitem__, camera.info))
         calibrated = self._calibrated(cameras)
         known = tuple(map(_fingerprint, calibrated))

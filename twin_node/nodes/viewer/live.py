@@ -163,6 +163,7 @@ class ViewerNode(Node):
         for camera in found.topics:
             if camera.image not in self._images:
                 self._images.add(camera.image)
+                self._wire_bus.declare(camera.image, camera.kinds[camera.image])
                 self._wire_bus.subscribe_raw(camera.image, partial(self._keep, camera.image))
 
     def _on_diagnostics(self, message: Message) -> None:
