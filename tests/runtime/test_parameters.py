@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from twin_node.ranges import SHARE, check_ranges
-from twin_node.runtime.parameters import ParameterError, fill, read_parameters
+from twin_node.runtime.parameters import ParameterError, fill, read_parameters, values_of
 
 
 @dataclass(frozen=True)
@@ -126,3 +126,12 @@ def test_nodes_are_named_as_ros_dumps_them_too(tmp_path: Path) -> None:
     path.write_text("/arm: {ros__parameters: {model: ur3e}}\narm: {ros__parameters: {model: ur5e}}\n")
     with pytest.raises(ParameterError, match="expected each node once, found 'arm' and '/arm'; make them one"):
         read_parameters(path)
+
+
+def test_what_every_node_is_given_stays_beside_what_one_is_given_of_the_same_place() -> None:
+    """`limiter` of arm and driver: one value of a driver's own, and it had none of those that were for both."""
+    everywhere = {"inner": {"gain": 2.0, "bias": 1.0}, "name": "a", "of_others": {"gain": 3.0}}
+    sections = {"/**": everywhere, "one": {"inner": {"bias": 4.0}, "name": "b"}}
+    assert values_of(Outer, "one", sections) == {"inner": {"gain": 2.0, "bias": 4.0}, "name": "b"}
+    assert values_of(Outer, "another", sections) == {"inner": everywhere["inner"], "name": "a"}
+    assert everywhere["inner"] == {"gain": 2.0, "bias": 1.0}, "which is still every other's"

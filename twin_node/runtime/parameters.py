@@ -66,11 +66,20 @@ def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
 def values_of(kind: type[Any], name: str, sections: Sections) -> dict[str, Any]:
     """What sections by node name give the node of a name, whose parameters are a `kind`.
 
-    What `/**` says is every node's that has such a key, unless its own section says otherwise.
+    What `/**` says is every node's that has such a key, unless its own section says otherwise, of nested keys of each.
     """
     known = {field.name for field in dataclasses.fields(kind)}
     shared = {key: value for key, value in sections.get(EVERY_NODE, {}).items() if key in known}
-    return {**shared, **sections.get(name, {})}
+    return merged(shared, sections.get(name, {}))
+
+
+def merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `given`, key by key where both hold keys."""
+    found = dict(base)
+    for key, value in given.items():
+        both = isinstance(value, Mapping) and isinstance(found.get(key), Mapping)
+        found[key] = merged(found[key], value) if both else value
+    return found
 
 
 def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:

@@ -29,7 +29,7 @@ from twin_node.nodes.launch.kinds import (
 )
 from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, named_nodes, read_flag, read_process
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
-from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, read_parameters
+from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, merged, read_parameters
 from twin_node.runtime.zenoh_session import ZenohParameters
 
 NAMESPACE = "__ns"
@@ -93,7 +93,7 @@ def read_launch_file(
     for file in parameter_files:
         given_here = parameters_alone(resources.find(file))
         _check_sections(given_here, str(file), processes)
-        sections = _merged(sections, given_here)
+        sections = merged(sections, given_here)
     _set_parameters(sections, parameters)
     _check_takes_part(parameters, entries, path)
     where = _named(path, parameter_files, parameters)
@@ -216,15 +216,6 @@ def _check_takes_part(given: Sequence[str], entries: Mapping[str, Any], path: Pa
         node = text.partition(".")[0]
         if node in KINDS and node not in {*CHAIN_SECTIONS, *nodes}:
             raise GraphError(f"-p {text}: {path} has no node '{node}'; it has {', '.join(sorted(nodes))}")
-
-
-def _merged(base: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the values of `given`, key by key where both hold keys."""
-    merged = dict(base)
-    for key, value in given.items():
-        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = _merged(merged[key], value) if both else value
-    return merged
 
 
 def _check_sections(sections: Sections, where: str, processes: Sequence[ProcessPlan]) -> None:
