@@ -191,6 +191,17 @@ def test_cameras_that_are_calibrated_anew_are_shown_where_they_are_now(graph: Gr
     assert seen == [0.0, 0.2]
 
 
+def test_cameras_that_leave_are_taken_away_and_come_again(graph: Graph) -> None:
+    """The launch was stopped, and the viewer ended with it: it expected at least one camera."""
+    front = RigCamera("front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    ends = [publisher("/front/image_raw"), publisher("/front/camera_info")]
+    graph.send(TF_STATIC, convert.tf_static(Rig((front,)), START))
+    graph.send("/front/camera_info", convert.camera_info(front, START))
+    for there in (ends, [], ends):
+        graph.published[:] = there
+        graph.until(lambda there=there: (graph.handle("/cameras/front") is not None) == bool(there))
+
+
 def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> None:
     front = RigCamera("cam_front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
     cameras = GraphCameras(graph.setup, 32, Rig((front,)))

@@ -48,7 +48,7 @@ class GraphCameras:
         self._known = known
         names = {camera.name for camera in calibrated}
         topics = tuple(camera for camera in cameras if camera.name in names)
-        return LiveCameras(topics, FrameAssembler(calibrated, self._width))
+        return LiveCameras(topics, FrameAssembler(calibrated, self._width) if calibrated else None)
 
     def _published(self) -> Sequence[CameraTopics]:
         named = [(self._bus.named(e.topic), e.msgtype) for e in self._endpoints() if e.kind is EntityKind.PUBLISHER]

@@ -85,7 +85,8 @@ class LiveCameras:
     """The cameras of a graph: where their images come, and what makes views of them."""
 
     topics: tuple[CameraTopics, ...]
-    assembler: FrameAssembler
+    assembler: FrameAssembler | None
+    """None: there are none any more."""
 
 
 class ViewerNode(Node):
@@ -206,7 +207,8 @@ class ViewerNode(Node):
         while not self._stopped.wait(FRAME_S):
             if self._cameras is not cameras:
                 cameras = self._cameras
-                self._page.set_cameras(() if cameras is None else cameras.assembler.cameras)
+                assembler = None if cameras is None else cameras.assembler
+                self._page.set_cameras(() if assembler is None else assembler.cameras)
             newest = dict(self._newest)
             if not newest or not self._page.visitors:
                 continue
