@@ -210,6 +210,10 @@ def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> 
     found = cameras()
     assert found is not None and [camera.name for camera in found.topics] == ["cam_front"]
     assert cameras() is None
+    graph.published[:] = [publisher("/cam_front/image_raw")]
+    found = cameras()
+    assert found is not None and found.topics[0].image == "/cam_front/image_raw", "as it is sent from now on"
+    assert cameras() is None
 
 
 def test_cameras_of_the_viewers_own_namespace_are_shown_under_their_own_names(graph: Graph) -> None:

@@ -27,7 +27,7 @@ class GraphCameras:
         self._tree = TransformTree()
         self._infos: dict[str, Message] = {}
         self._asked: set[str] = set()
-        self._known: tuple[bytes, ...] = ()
+        self._known: tuple[tuple[str, ...], tuple[bytes, ...]] = ((), ())
         self._is_listening = False
 
     def __call__(self) -> LiveCameras | None:
@@ -42,12 +42,12 @@ class GraphCameras:
                 self._bus.declare(camera.info, camera.kinds[camera.info])
                 self._bus.subscribe(camera.info, partial(self._infos.__setitem__, camera.info))
         calibrated = self._calibrated(cameras)
-        known = tuple(map(_fingerprint, calibrated))
+        names = {camera.name for camera in calibrated}
+        topics = tuple(camera for camera in cameras if camera.name in names)
+        known = tuple(camera.image for camera in topics), tuple(map(_fingerprint, calibrated))
         if known == self._known:
             return None
         self._known = known
-        names = {camera.name for camera in calibrated}
-        topics = tuple(camera for camera in cameras if camera.name in names)
         return LiveCameras(topics, FrameAssembler(calibrated, self._width) if calibrated else None)
 
     def _published(self) -> Sequence[CameraTopics]:
