@@ -202,6 +202,18 @@ def test_cameras_that_leave_are_taken_away_and_come_again(graph: Graph) -> None:
         graph.until(lambda there=there: (graph.handle("/cameras/front") is not None) == bool(there))
 
 
+def test_images_are_not_sent_for_cameras_that_are_looked_at_otherwise(graph: Graph) -> None:
+    """Raw images went on over the network when compressed ones had been found a moment later."""
+    front = RigCamera("front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    info, raw, small = "/front/camera_info", "/front/image_raw", "/front/image_raw/compressed"
+    graph.send(TF_STATIC, convert.tf_static(Rig((front,)), START))
+    graph.send(info, convert.camera_info(front, START))
+    for sent, heard in (([info, raw], raw), ([info, raw, small], small), ([], None), ([info, raw], raw)):
+        graph.published[:] = map(publisher, sent)
+        wanted = {topic: topic == heard for topic in (raw, small)}
+        graph.until(lambda wanted=wanted: {t: graph.wire.is_heard("test", t, kind_of(t)) for t in wanted} == wanted)
+
+
 def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> None:
     front = RigCamera("cam_front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
     cameras = GraphCameras(graph.setup, 32, Rig((front,)))

@@ -153,9 +153,9 @@ class WireBus:
         """
         self._subscribe(topic, callback, raw=False)
 
-    def subscribe_raw(self, topic: str, callback: Callable[[Encoded], None]) -> None:
-        """Call `callback(encoded)` for every message on `topic`, undecoded."""
-        self._subscribe(topic, callback, raw=True)
+    def subscribe_raw(self, topic: str, callback: Callable[[Encoded], None]) -> Cancel:
+        """Call `callback(encoded)` for every message on `topic`, undecoded, until cancelled in that thread."""
+        return self._subscribe(topic, callback, raw=True)
 
     def subscribe_timed(self, topic: str, callback: Callable[[Encoded, int], None], clock: Clock) -> None:
         """Call `callback(encoded, stamp)` for every message on `topic`, undecoded.
@@ -209,14 +209,23 @@ class WireBus:
 
     def _subscribe(
         self, topic: str, callback: Callable[[Any], None], raw: bool, to: Callable[[Sink], Sink] = lambda offer: offer
-    ) -> None:
+    ) -> Cancel:
         """`to(offer)`: what takes messages from the wire and offers them to the inbox, in any thread."""
         kind = self._kind(topic)
         subscription = _Subscription(topic, callback, raw)
         qos = kind.qos
         inbox = self._executor.inbox(subscription, qos.depth, qos.patience, qos.most_bytes, qos.lifespan_s)
         self._subscriptions.append((subscription, inbox))
-        self._cancels.append(self._wire.subscribe(self._node, self.resolved(topic), kind, to(inbox.offer)))
+        end = self._wire.subscribe(self._node, self.resolved(topic), kind, to(inbox.offer))
+        self._cancels.append(end)
+
+        def cancel() -> None:
+            subscription.is_closed = True
+            if end in self._cancels:
+                self._cancels.remove(end)
+                end()
+
+        return cancel
 
     def _kind(self, topic: str) -> TopicKind:
         kind = self._known(topic)

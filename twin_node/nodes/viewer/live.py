@@ -32,7 +32,7 @@ from twin_node.rig import FrameAssembler
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
 from twin_node.runtime.node import Node
-from twin_node.runtime.wire import Encoded
+from twin_node.runtime.wire import Cancel, Encoded
 from twin_node.runtime.wire_bus import WireBus
 
 FRAME_S = 0.05
@@ -114,7 +114,7 @@ class ViewerNode(Node):
         self._page: CellPage
         self._find_cameras = find_cameras
         self._cameras: LiveCameras | None = None
-        self._images: set[str] = set()
+        self._images: dict[str, Cancel] = {}
         self._newest: dict[str, Said] = {}
         self._past: dict[str, tuple[Said, ...]] = {}
         self._now = 0
@@ -161,11 +161,13 @@ class ViewerNode(Node):
         if found is None:
             return
         self._cameras = found
-        for camera in found.topics:
-            if camera.image not in self._images:
-                self._images.add(camera.image)
-                self._wire_bus.declare(camera.image, camera.kinds[camera.image])
-                self._wire_bus.subscribe_raw(camera.image, partial(self._keep, camera.image))
+        kinds = {camera.image: camera.kinds[camera.image] for camera in found.topics}
+        for topic in self._images.keys() - kinds.keys():
+            self._images.pop(topic)()
+            self._newest.pop(topic, None)
+        for topic in kinds.keys() - self._images.keys():
+            self._wire_bus.declare(topic, kinds[topic])
+            self._images[topic] = self._wire_bus.subscribe_raw(topic, partial(self._keep, topic))
 
     def _on_diagnostics(self, message: Message) -> None:
         for found in convert.diagnostics_from_message(message):
