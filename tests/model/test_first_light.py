@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from model_scenes import TICK_NS, frames, rig
+from model_scenes import TICK_NS, camera, frames, rig
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.first_light import PATIENCE_S, FirstLight, is_blind, once_lit
 from twin_node.model.quality import psnr, squared_error
-from twin_node.scene import FrameSet, TwinState, View
+from twin_node.scene import FrameSet, Tier, TwinState, View
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
 CAMERAS = rig()
@@ -102,6 +102,21 @@ def test_a_camera_that_joins_and_sees_what_nobody_did_keeps_its_light() -> None:
     noise = np.random.default_rng(0).integers(0, 255, STILL.views[0].rgb.shape, np.uint8)
     state = model.update(at(1, STILL, replace(STILL.views[0], rgb=noise)))
     assert state.exposures[0].is_plain
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_what_moves_before_a_camera_that_joins_and_looks_away_from_the_others_is_followed(depth: bool) -> None:
+    """It stands beyond the shell of the first: that lay behind it, and the model ended in numbers that were none."""
+    away, model = camera("away", (6.0, 0.0, 1.0), (12.0, 0.0, 0.0)), WindowModel(QUICK)
+    for index in range(12):
+        first = frames(index, -0.15, CAMERAS[:1], depth)
+        rgb = np.random.default_rng(0).integers(60, 200, (away.height, away.width, 3), np.uint8)
+        measured = np.full(rgb.shape[:2], 3, np.float32)
+        rgb[20:40, 4 * index : 4 * index + 20], measured[20:40, 4 * index : 4 * index + 20] = (255, 80, 0), 1.5
+        joins = (View(away, first.stamp, rgb, measured if depth else None),) if index > 2 else ()
+        cloud = model.update(replace(first, views=(*first.views, *joins))).gaussians
+    moving = cloud.means[cloud.tiers != Tier.STATIC]
+    assert len(moving) > 20 and (moving[:, 0] > 6).all()
 
 
 @pytest.mark.parametrize("depth", [False, True])

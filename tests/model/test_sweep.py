@@ -102,6 +102,15 @@ def test_invalid_pixels_have_no_say() -> None:
     )
 
 
+@pytest.mark.parametrize("target", [(12.0, 0.0, 0.0), (6.0, 5.0, 0.0), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("far_m", [1.0, 2.4, 2.6, 6.0, 100.0])
+def test_the_shell_is_before_every_camera_wherever_it_stands(target: tuple[float, float, float], far_m: float) -> None:
+    """Of one that came later, outside, and looked away it lay behind."""
+    shell = shell_around([camera("first", (-1.0, 0.0, 0.0))], 2.5)
+    depth = shell.depth(camera("later", (far_m, 0.0, 0.5), tuple(far_m / 6 * np.array(target))))
+    assert depth.min() > 0.4 * np.linalg.norm(shell.centre - [far_m, 0.0, 0.5])
+
+
 def test_what_is_alike_everywhere_tells_nothing() -> None:
     views = [replace(view, rgb=np.full_like(view.rgb, 120)) for view in frames(0, None, CAMERAS).views]
     for view, surface in zip(views, _swept(views), strict=True):

@@ -27,7 +27,8 @@ class SeedParameters:
     levels: int = 96
     """Depths that are tried per pixel where none is measured."""
     shell_factor: float = 2.5
-    """Radius of the background shell in units of the farthest camera's distance from what the rig looks at."""
+    """Radius of the background shell in units of the farthest camera's distance from what the rig looks at; to each
+    camera it is as large as twice its own at least."""
 
     def __post_init__(self) -> None:
         """Raises `ModelError` for a number that is none of its kind."""

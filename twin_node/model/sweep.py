@@ -28,6 +28,9 @@ ROUNDS = 3
 """Times that depths are chosen; from the second on each view heeds what the others have chosen."""
 PARTNERS = 4
 """Other views, the nearest in direction, that a view is compared with."""
+LEAST_REACH = 2.0
+"""How many times as far as a camera is from the shell's centre the shell is to it at least: one that comes later may
+stand beyond the shell of those that were first, or just before it."""
 MOST_PIXELS = 40_000
 """Of an image as it is matched, larger ones are made smaller first: a pixel takes 8 bytes per depth and partner."""
 SMOOTHING_PX = 0.7
@@ -54,12 +57,16 @@ class Shell:
     """m."""
 
     def depth(self, camera: Camera) -> Float64:
-        """[H, W] m along the optical axis at which each pixel's ray leaves the shell."""
+        """[H, W] m along the optical axis at which each pixel's ray leaves the shell, everywhere above 0.
+
+        To a camera whose distance from the centre it is not `LEAST_REACH` times, it is as large as that.
+        """
         rays = pixel_rays(camera)
         start = camera.T_base_cam[:3, 3] - self.centre
+        square = max(self.radius**2, LEAST_REACH**2 * float(start @ start))
         a = (rays**2).sum(-1)
         b = rays @ start
-        depth: Float64 = (np.sqrt(np.maximum(b**2 - a * (start @ start - self.radius**2), 0)) - b) / a
+        depth: Float64 = (np.sqrt(np.maximum(b**2 - a * (start @ start - square), 0)) - b) / a
         return depth
 
 
