@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -55,6 +56,19 @@ def test_who_measures_depth_is_not_waited_for_for_ever() -> None:
     blind = FirstLight()
     assert blind.is_dark(at(0, STILL, *(replace(one, depth=None) for one in dark)))
     assert blind.is_dark(at(late, STILL, *(replace(one, depth=None) for one in dark)))
+
+
+def test_who_leaves_without_having_shown_anything_is_not_told_of_for_ever_and_waited_for_anew() -> None:
+    light, dark, late = FirstLight(), flat(MEASURED.views[0], 0), round(PATIENCE_S * 1e9 / TICK_NS) + 1
+    others = replace(MEASURED, views=MEASURED.views[1:])
+    light.heed(at(0, MEASURED, dark))
+    light.heed(at(late - 2, others))
+    assert light.warnings, "images get lost"
+    assert not is_blind(copy.deepcopy(light).heed(at(3 * late, MEASURED, dark)).views[0]), "it waited"
+    light.heed(at(late, others))
+    assert not light.warnings
+    assert is_blind(light.heed(at(late + 1, MEASURED, dark)).views[0]), "its exposure has had no time to settle"
+    assert light.warnings
 
 
 def test_a_first_set_that_is_all_dark_is_taken_as_it_is() -> None:

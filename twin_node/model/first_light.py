@@ -28,6 +28,8 @@ class FirstLight:
         """The size of their images, by name: one that comes with another is a new camera."""
         self._since: dict[str, int] = {}
         """Stamps of the first images of cameras that have shown nothing yet, ns."""
+        self._newest: dict[str, int] = {}
+        """Stamps of their newest images, ns."""
         self._unsettled: set[str] = set()
         """Of these, those that have come while something moves."""
 
@@ -41,8 +43,10 @@ class FirstLight:
 
         Nor of those without depth that come while the scene is not `is_still`, before other cameras, or whose images
         have become larger or smaller then: what was known of the old pixels is not of the new ones. One that measures
-        depth is left out for `PATIENCE_S` at most: depth tells in the dark, too.
+        depth is left out for `PATIENCE_S` at most: depth tells in the dark, too. One that has been away for as long
+        begins anew when it comes back.
         """
+        self._let_go(frames)
         if all(self._knows(view) for view in frames.views):
             return frames
         views = tuple(view if self._is_lit(view, is_still) else _blind(view) for view in frames.views)
@@ -67,7 +71,7 @@ class FirstLight:
         name = view.camera.name
         if self._knows(view):
             return True
-        since = self._since.setdefault(name, view.stamp)
+        since, self._newest[name] = self._since.setdefault(name, view.stamp), view.stamp
         waited = view.depth is not None and view.stamp - since >= PATIENCE_S * 1e9
         self._unsettled.discard(name)
         if not waited and not shows_something(view):
@@ -80,7 +84,20 @@ class FirstLight:
 
     def _light(self, view: View) -> None:
         self._lit[view.camera.name] = view.rgb.shape[:2]
-        self._since.pop(view.camera.name, None)
+        self._forget(view.camera.name)
+
+    def _let_go(self, frames: FrameSet) -> None:
+        """Forgets cameras that have shown nothing, are not in a set, and have been away for long."""
+        there = {view.camera.name for view in frames.views}
+        for name, newest in list(self._newest.items()):
+            if name not in there and frames.stamp - newest > PATIENCE_S * 1e9:
+                self._forget(name)
+
+    def _forget(self, name: str) -> None:
+        """That a camera has shown nothing."""
+        self._since.pop(name, None)
+        self._newest.pop(name, None)
+        self._unsettled.discard(name)
 
 
 _DARK = "has shown nothing so far, black or burnt out: it is left out; uncover it, or mend the light"
