@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, pixels_of, state_of
+import pytest
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, camera, pixels_of, state_of
 from numpy.typing import NDArray
 
 from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.tables import RigTables
+from twin_node.geometry import project
 from twin_node.scene import Camera, Float64, FrameSet
 
 CENTER = np.array([0.1, -0.05, 0.45])
@@ -38,6 +40,27 @@ def test_a_camera_without_depth_frees_its_rays_up_to_what_is_known_to_stand() ->
     assert carver.carve(state, 0.0).unknown.holds(behind).all(), "as for the state before"
     assert not carver.carve(state, 0.0, Opaque(wall[:0])).unknown.holds(behind).any()
     assert not carver.carve(state, 0.0, Opaque(wall, 0.5)).unknown.holds(behind).any(), "it may lie behind that"
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.7])
+@pytest.mark.parametrize("away", [0.4, 0.9, 1.9])
+def test_a_camera_without_depth_sees_through_no_wall_however_near_it_stands(away: float, turned: float) -> None:
+    """Voxels that are nearer than the middle of the grid are larger in the image."""
+    eye = np.array([0.2 + away, 0.0, 0.45])
+    near = replace(camera("near", eye, roll=turned), width=3 * WIDTH, height=3 * HEIGHT)
+    near = replace(near, K=np.diag([3.0, 3.0, 1.0]) @ near.K)
+    centers = GRID.centers(np.arange(GRID.size))
+    wall = np.flatnonzero(np.abs(centers[:, 0] - 0.2) < 0.6 * GRID.voxel_size)
+    unknown = Carver(RigTables(GRID)).carve(state_of(0, None, cameras=(near,)), 0.0, Opaque(wall)).unknown.mask()
+    u, v, z = project(near.K, near.viewmat, centers).T
+    rim = near.K[0, 0] * GRID.voxel_size / away  # where half of a voxel may be beside the image
+    is_seen = (z > 0) & (u > rim) & (u < near.width - rim) & (v > rim) & (v < near.height - rim)
+    crossing = eye + (centers - eye) * ((away / (eye[0] - centers[:, 0]).clip(1e-3))[:, None])
+    is_behind = (centers[:, 0] < 0.15) & (np.abs(crossing[:, 1]) < 0.55) & (np.abs(crossing[:, 2] - 0.45) < 0.4)
+    assert np.count_nonzero(is_seen & is_behind) > 500
+    assert unknown[is_seen & is_behind].all()
+    before = is_seen & (centers[:, 0] > 0.3) & (np.abs(centers[:, 0] - eye[0]) > 0.1)
+    assert not unknown[before].any()
 
 
 def test_a_camera_without_depth_does_not_see_past_what_another_measures_to_move() -> None:

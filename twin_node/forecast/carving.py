@@ -180,6 +180,7 @@ class _Fronts:
         """[H, W] m, of a camera."""
         known = self._drawn.get(table.camera.name)
         if known is None or known[0] is not table:
-            fronts = table.fronts_of(self._blocks.locate(self._opaque.indices)) + np.float32(self._opaque.error_m)
+            opaque, places = self._opaque, self._blocks.locate(self._opaque.indices)
+            fronts = table.fronts_of(places, are_measured=opaque.error_m == 0) + np.float32(opaque.error_m)
             known = self._drawn[table.camera.name] = (table, fronts)
         return known[1]

@@ -24,6 +24,8 @@ VOXELS = BLOCK**3
 """Voxels per block."""
 NOWHERE = np.float32(1e6)
 """Depth of pixels that show none of some voxels, m."""
+HOUSING_M = 0.2
+"""What stands nearer to a camera than this may be its own housing, as others measure it: it hides little, m."""
 
 
 class Blocks:
@@ -167,16 +169,32 @@ class CameraTable:
         image = hit[:-1].reshape(self.camera.height, self.camera.width)
         return cv2.dilate(image, self._voxel()) > 0
 
-    def fronts_of(self, places: NDArray[np.int64]) -> Float32:
+    def fronts_of(self, places: NDArray[np.int64], are_measured: bool = True) -> Float32:
         """[H, W] depth (m) at which the nearest of the voxels at `places` begins; `NOWHERE` where there is none.
 
-        Each is as large as a voxel in the middle of the grid.
+        Each is as large as a voxel in the middle of the grid; those that `are_measured` no smaller than the box about
+        them in the image: between near ones there are no gaps.
         """
-        seen = self.at(places)
-        nearest = np.full(self.outside + 1, NOWHERE, np.float32)
-        order = np.argsort(-seen.depth, kind="stable")  # of several in a pixel the last one stays
-        nearest[seen.pixels[order]] = seen.depth[order] - np.float32(self._blocks.grid.voxel_size / 2)
-        return cv2.erode(nearest[:-1].reshape(self.camera.height, self.camera.width), self._voxel()).astype(np.float32)
+        seen = self.at(places[self.voxels.pixels[places] < self.outside])
+        begins = seen.depth - np.float32(self._blocks.grid.voxel_size / 2)
+        sides = self._sides(seen.depth) if are_measured else np.full(len(begins), len(self._voxel()))
+        fronts = np.full((self.camera.height, self.camera.width), NOWHERE, np.float32)
+        for side in np.unique(sides).tolist():
+            mine = np.flatnonzero(sides == side)
+            mine = mine[np.argsort(-seen.depth[mine], kind="stable")]  # of several in a pixel the last one stays
+            nearest = np.full(self.outside, NOWHERE, np.float32)
+            nearest[seen.pixels[mine]] = begins[mine]
+            drawn = cv2.erode(nearest.reshape(fronts.shape), np.ones((side, side), np.uint8))
+            np.minimum(fronts, drawn, out=fronts)
+        return fronts
+
+    def _sides(self, depth: Float32) -> NDArray[np.int64]:
+        """Sides [n] in pixels, odd, of squares that hold voxels at a depth [n] (m)."""
+        camera, middle = self.camera, len(self._voxel())
+        turned = np.abs(camera.viewmat[:2, :3]).sum(axis=1)  # of the box about a cube of side 1
+        largest = max(camera.K[0, 0] * turned[0], camera.K[1, 1] * turned[1]) * self._blocks.grid.voxel_size
+        pixels = np.where(depth < HOUSING_M, 0, largest / np.maximum(depth, HOUSING_M))
+        return np.maximum(2 * np.ceil((pixels - 1) / 2).astype(np.int64) + 1, middle)
 
     def _voxel(self) -> NDArray[np.uint8]:
         """Pixels of a voxel in the middle of the grid, as a kernel."""
