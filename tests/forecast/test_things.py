@@ -104,6 +104,21 @@ def test_what_is_thrown_is_expected_to_fall() -> None:
     assert len(occupancy.layers[-1].indices) < 0.8 * np.count_nonzero(reached)
 
 
+@pytest.mark.parametrize("later_ns", [0, 1])
+def test_a_set_that_comes_twice_ends_no_flight(later_ns: int) -> None:
+    """Of two of one time the later one holds, beside what was before both."""
+    once, twice = Things(GRID), Things(GRID)
+    for number in range(6):
+        seconds, stamp = number * PERIOD_NS * 1e-9, number * PERIOD_NS
+        ball = balls((-0.3 + 2.0 * seconds, 0.0, 0.45 + 1.0 * seconds - 9.81 / 2 * seconds**2))
+        told, again = (things.follow(stamp, CAMERAS, ball) for things in (once, twice))
+        if number == 4:
+            again = twice.follow(stamp + later_ns, CAMERAS, ball)
+        if number >= 4:
+            assert told.falling.all() and again.falling.all()
+            np.testing.assert_allclose(again.velocities, told.velocities, atol=1e-3)
+
+
 def test_rims_hang_on_the_nearest_part_that_is_more() -> None:
     left, right = (ball_voxels(np.array([x, 0.0, 0.5]), 0.06) for x in (-0.24, 0.24))
     rims = ball_voxels(np.array([0.1, 0.0, 0.5]), 0.03), ball_voxels(np.array([0.0, 0.4, 0.5]), 0.03)

@@ -11,7 +11,7 @@ from twin_node.forecast.flights import Course
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.part_requests import GatherRequest, LinkRequest
 from twin_node.forecast.parts import PART_SIZE, Parts
-from twin_node.forecast.tracks import MOST_SPEED
+from twin_node.forecast.tracks import MOST_SPEED, ONE_TIME_S
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float64, Grid
 
@@ -65,15 +65,20 @@ class Things:
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._before: _Seen | None = None
+        self._earlier: _Seen | None = None
+        """The one before that, of another time."""
 
     def follow(self, stamp: int, cameras: tuple[str, ...], parts: Parts) -> Whole:
         """How the things move that the parts at `stamp` (ns) are of, by their places in the set before.
 
-        Only sets that came of the same `cameras` are compared: what another one sees of a thing has another middle.
+        Only sets that came of the same `cameras` are compared: what another one sees of a thing has another middle. Of
+        two of one time the later one holds.
         """
         gathered = gather(parts)
         labels, now = gathered.labels, _Seen.of(stamp, cameras, self._grid, gathered)
-        before, self._before = self._before, now
+        if self._before is None or abs(stamp - self._before.stamp) > ONE_TIME_S * 1e9:
+            self._earlier = self._before
+        before, self._before = self._earlier, now
         whole = Whole.none(parts.count)
         if before is None or before.stamp >= stamp or before.cameras != cameras:
             return whole
