@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from twin_node.forecast import Forecaster, default_grid
+from twin_node.messages.convert import Diagnosis
 from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.drift import DriftNode
@@ -88,6 +89,10 @@ class Chain:
         """Deactivates every node, the first of the chain first."""
         for node in self._nodes:
             node.deactivate()
+
+    def diagnoses(self) -> tuple[Diagnosis, ...]:
+        """How its nodes are doing, see `Node.diagnoses`."""
+        return tuple(diagnosis for node in self._nodes for diagnosis in node.diagnoses())
 
     def cleanup(self) -> None:
         """Cleans up every node, the first of the chain first."""

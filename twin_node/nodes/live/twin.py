@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from twin_node.messages import convert
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
@@ -57,6 +58,10 @@ class TwinNode(Node):
 
     def on_cleanup(self) -> None:
         self._chain.cleanup()
+
+    def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
+        """How the nodes of the chain are doing."""
+        return self._chain.diagnoses()
 
     def _on_forecast(self, _: Any) -> None:
         """All that comes of a set is out: what is left of its time is the model's."""
