@@ -21,7 +21,7 @@ from twin_node.nodes.topics import JOINT_STATES, OBSTACLES, SEPARATION
 from twin_node.robot import forward_kinematics, ur_model
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
-from twin_node.scene import JointSample, ObstacleKind
+from twin_node.scene import JointSample, ObstacleKind, Obstacles
 
 PARAMETERS = ArmParameters("ur5e")
 COMMAND_S = PARAMETERS.command_latency_ms * 1e-3
@@ -265,6 +265,21 @@ def test_an_arm_that_stands_for_want_of_forecasts_is_told_of() -> None:
     with pytest.raises(TwinError, match="map"):
         cell.somebody(frame="map")
     assert told()[1].startswith("refused: obstacles: expected them in base_link")
+
+
+def test_obstacles_of_before_1970_are_refused_and_the_arm_says_so() -> None:
+    """Their stamp was taken, and could not be passed on when no more came: the arm's process ended of one message."""
+    timers = Timers()
+    cell = Cell(timers)
+    cell.joints()
+    message = convert.obstacles_to_message(Obstacles.none(START))
+    message.header.stamp.sec = -1
+    with pytest.raises(TwinError, match="obstacles' stamp -"):
+        cell.bus.publish(OBSTACLES, message)
+    cell.wait(201)
+    timers.ring()
+    assert cell.told[-1].speed_fraction == 0.0
+    assert "obstacles' stamp" in cell.told[-1].reason
 
 
 def test_a_path_that_the_arm_is_not_on_is_told_of() -> None:

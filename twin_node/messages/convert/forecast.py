@@ -115,9 +115,10 @@ def obstacles_from_message(message: Message) -> Obstacles:
     """Obstacles from a `twin_msgs/msg/ObstacleArray`; those of older logs do not say their experts, or how far
     what was seen gets, and experts of newer ones, which are not known here, are none.
 
-    Raises `MessageError` for kinds and shapes that are not known here.
+    Raises `MessageError` for kinds and shapes that are not known here, and for a stamp that no message can pass on.
     """
     found = _obstacles_of_rows(message) if isinstance(message.obstacles, Rows) else _obstacles_one_by_one(message)
+    require_stamp(found.stamp, "obstacles' stamp")
     for name, values, known in (("kinds", found.kinds, ObstacleKind), ("shapes", found.shapes, ObstacleShape)):
         unknown = set(values.tolist()) - {int(value) for value in known}
         if unknown:
