@@ -66,9 +66,9 @@ class WorkerProcess:
         """
         self._name, self._advice = name, advice
         self.connection, its = Pipe()
+        """This end of the pipe."""
         if patience_s is not None:
             _limit_waits(self.connection, patience_s)
-        """This end of the pipe."""
         with its, _uninterrupted():
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, str(its.fileno())],
