@@ -58,6 +58,16 @@ def test_parameters_of_the_command_line_go_into_their_sections(small: Path) -> N
     assert plan.sections["arm"] == {"limiter": {"deadline_s": 0.2}}
 
 
+@pytest.mark.parametrize(("compared", "runs"), [("true", True), ("True", True), ("false", False), ("False", False)])
+def test_an_argument_that_is_true_or_false_is_compared_as_yaml_has_it(small: Path, compared: str, runs: bool) -> None:
+    """`if: $(var loop) == true` never held, for within a text the argument is `True`."""
+    text = small.read_text()
+    small.write_text(text.replace("if: $(var loop)}", f"if: $(var loop) == {compared}}}"))
+    for loop in (True, False):
+        plan = read_launch_file(small, ["log:=a", f"loop:={str(loop).lower()}"])
+        assert ("write" in [process.name for process in plan.processes]) == (loop is runs)
+
+
 @pytest.mark.parametrize(
     ("arguments", "parameters", "words"),
     [

@@ -14,6 +14,8 @@ from twin_node.nodes.topics import GraphError
 
 PROCESS_NAME = re.compile(r"[\w.-]+")
 MOST_NICE = 19
+_WORDS = {"True": "true", "False": "false"}
+"""What an argument that is true or false is within a text, and in YAML."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,14 @@ class ProcessPlan:
 
 
 def is_wanted(entry: Any) -> bool:
-    """Whether a process's `if` holds: it is neither empty nor false, and both sides of an `==` are equal."""
+    """Whether a process's `if` holds: it is neither empty nor false, and both sides of an `==` are equal.
+
+    An argument that is true or false may be compared to either as YAML has it, too.
+    """
     condition = entry.get("if", True) if isinstance(entry, Mapping) else True
     if isinstance(condition, str) and "==" in condition:
         left, _, right = condition.partition("==")
-        return left.strip() == right.strip()
+        return _WORDS.get(left.strip(), left.strip()) == _WORDS.get(right.strip(), right.strip())
     return condition not in ("", "false", "False", False, None, 0)
 
 
