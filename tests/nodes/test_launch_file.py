@@ -265,6 +265,17 @@ def test_topics_of_all_nodes_are_renamed(small: Path) -> None:
     assert plan.remaps == {"/joint_states": "/ur/joint_states", "/left/image_raw": "/l/rgb"}
 
 
+def test_images_are_renamed_whatever_the_rig_calls_them(small: Path) -> None:
+    """`doctor` advised such a remap, and the launch refused it."""
+    rig = "{image: rgb/image_color, depth: '/{camera}/range'}"
+    small.write_text(f"{SMALL}/**: {{ros__parameters: {{rig: {rig}}}}}\n")
+    remaps = ["/left/rgb/image_color:=/l/rgb", "/left/range:=/l/range"]
+    assert len(remapped(read_launch_file(small, ["log:=a"]), remaps).remaps) == 2
+    for other in ("/left/image_color", "/left/rgb/image_colour", "/left/right/range"):
+        with pytest.raises(TwinError, match=f"no node has the topic {other}"):
+            remapped(read_launch_file(small, ["log:=a"]), [f"{other}:=/l/rgb"])
+
+
 @pytest.mark.parametrize(
     ("remap", "words"),
     [

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from twin_node.errors import TwinError
-from twin_node.runtime.qos import EVERY, FRESH, LATCHED_BY_SEVERAL, NEWEST, ORDER, SENSOR_DATA, Qos, TopicKind
+from twin_node.runtime.qos import EVERY, FRESH, LATCHED_BY_SEVERAL, NEWEST, ORDER, SENSOR_DATA, KindOf, Qos, TopicKind
 
 FRAMES = "/twin/frames"
 """`scene.FrameSet`, inside a process only."""
@@ -180,20 +180,21 @@ def is_topic_name(topic: str) -> bool:
     return topic.startswith("/") and all(topic[1:].split("/")) and not _NO_PART_OF_A_NAME.search(topic)
 
 
-def check_remaps(remaps: Mapping[str, str]) -> None:
+def check_remaps(remaps: Mapping[str, str], of_cameras: KindOf = lambda _: None) -> None:
     """Raises `GraphError` for a topic that no node of ours has, with the nearest one; cameras have any names.
 
-    So it does where topics of two types would have one name.
+    So it does where topics of two types would have one name. `of_cameras(topic)`: what topics of the graph's cameras
+    carry whose names do not say it.
     """
     known = [topic for topic, kind in _MESSAGE_TYPES.items() if kind.msgtype is not None]
     for topic in remaps:
-        kind = kind_of(topic)
+        kind = kind_of(topic) or of_cameras(topic)
         if kind is None or kind.msgtype is None:
             near = difflib.get_close_matches(topic, known, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known))}"
             raise GraphError(f"--remap {topic}:={remaps[topic]}: no node has the topic {topic}; {hint}")
         for other in {*known, *remaps}:
-            also = kind_of(other)
+            also = kind_of(other) or of_cameras(other)
             if also is not None and also.msgtype != kind.msgtype and remaps.get(other, other) == remaps[topic]:
                 raise GraphError(
                     f"--remap {topic}:={remaps[topic]}: expected a name for {kind.msgtype} alone, found that of "

@@ -28,8 +28,10 @@ from twin_node.nodes.launch.kinds import (
     is_foreign,
 )
 from twin_node.nodes.launch.process_plan import ProcessPlan, is_wanted, named_nodes, read_flag, read_process
+from twin_node.nodes.live.rig_source import kind_of_camera
 from twin_node.nodes.topics import GraphError, check_remaps, parse_remaps
 from twin_node.runtime.parameters import EVERY_NODE, LAUNCH, Sections, fill, merged, read_parameters
+from twin_node.runtime.qos import KindOf
 from twin_node.runtime.zenoh_session import ZenohParameters
 
 NAMESPACE = "__ns"
@@ -124,9 +126,16 @@ def remapped(plan: LaunchPlan, remaps: Sequence[str]) -> LaunchPlan:
             "--remap: in lockstep there is no graph; rename what the log holds with -p player.remap:=[A:=B]"
         )
     if not _have_foreign(plan.processes):
-        check_remaps(pairs)
+        check_remaps(pairs, _kinds_of_cameras(plan.sections))
     zenoh = replace(plan.zenoh, namespace=namespaces[-1]) if namespaces else plan.zenoh
     return replace(plan, remaps=pairs, zenoh=zenoh)
+
+
+def _kinds_of_cameras(sections: Sections) -> KindOf:
+    """What topics of the rig's cameras carry, as it names them."""
+    rig = sections.get(EVERY_NODE, {}).get("rig")
+    image, depth = (str(rig.get(key) or "") if isinstance(rig, Mapping) else "" for key in ("image", "depth"))
+    return lambda topic: kind_of_camera(topic, image, depth)
 
 
 def _have_foreign(processes: Sequence[ProcessPlan]) -> bool:

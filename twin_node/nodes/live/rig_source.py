@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from twin_node.nodes.topics import (
     is_topic_name,
     parse_remaps,
 )
+from twin_node.runtime.qos import SENSOR_DATA, TopicKind
 from twin_node.scene import Float64, Rig
 
 CAMERA = "{camera}"
@@ -111,6 +113,14 @@ def topics_of(camera: str, parameters: RigParameters) -> CameraTopics:
         is_depth_aligned=is_aligned_depth(parameters.depth),
         depth_type=_type_of(depth) if depth else None,
     )
+
+
+def kind_of_camera(topic: str, image: str, depth: str) -> TopicKind | None:
+    """What a topic carries that is some camera's; None: it is none's. `image`, `depth`: see `RigParameters`."""
+    for name in filter(None, (image, depth)):
+        if re.fullmatch(re.escape(_topic(CAMERA, name)).replace(re.escape(CAMERA), "[^/]+"), topic):
+            return TopicKind(_type_of(topic), SENSOR_DATA)
+    return None
 
 
 def _type_of(topic: str) -> str:
