@@ -102,21 +102,6 @@ def test_forecast_is_far_smaller_than_the_worst_case() -> None:
     assert len(ours.layers[-1].indices) < 0.5 * len(others.worst_case.layers[-1].indices)
 
 
-def test_no_baseline_goes_on_with_what_was_known_before_a_pause() -> None:
-    """Ours does not either, and they stand on the same evidence."""
-    baselines, states = BaselineForecaster(GRID), moving_ball(12, speed=1.0)
-    for state in states:
-        moving = baselines.update(state, state.stamp + LATENCY_NS)
-    at = place(states[-1].stamp, speed=1.0)
-    later = state_of(states[-1].stamp + 3_000_000_000, at, RADIUS)
-    found = baselines.update(later, later.stamp + LATENCY_NS)
-    (led, stays), (went, stayed) = (
-        (one.constant_velocity.layers[-1].indices, one.persistence.layers[-1].indices) for one in (found, moving)
-    )
-    assert not np.array_equal(went, stayed)
-    np.testing.assert_array_equal(led, stays)
-
-
 def test_the_flow_of_the_images_tells_the_velocity() -> None:
     forecaster = Forecaster(GRID)
     for state in moving_ball(12):
