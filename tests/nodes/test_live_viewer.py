@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from twin_node.nodes.topics import (
     TF_STATIC,
     kind_of,
 )
-from twin_node.nodes.viewer import CellPage, ViewerError, ViewerNode
+from twin_node.nodes.viewer import CellPage, LiveCameras, ViewerError, ViewerNode
 from twin_node.robot import ur_model
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.parameters import ParameterError
@@ -212,6 +213,22 @@ def test_images_are_not_sent_for_cameras_that_are_looked_at_otherwise(graph: Gra
         graph.published[:] = map(publisher, sent)
         wanted = {topic: topic == heard for topic in (raw, small)}
         graph.until(lambda wanted=wanted: {t: graph.wire.is_heard("test", t, kind_of(t)) for t in wanted} == wanted)
+
+
+def test_a_camera_that_no_view_can_be_made_of_is_left_out_and_told(graph: Graph) -> None:
+    """Scaled to the page's width its images had no second row, and the page ended."""
+    said: list[str] = []
+    front = RigCamera("front", 64, 48, np.diag([50.0, 50.0, 1.0]), np.eye(4))
+    flat = RigCamera("flat", 1024, 8, np.array([[800.0, 0, 511.5], [0, 800.0, 3.5], [0, 0, 1]]), np.eye(4))
+    cameras = GraphCameras(replace(graph.setup, say=said.append), 32, Rig((front, flat)))
+    graph.published += [publisher("/front/image_raw"), publisher("/flat/image_raw")]
+    found = cameras()
+    assert found is not None and [camera.name for camera in found.topics] == ["front"]
+    assert cameras() is None
+    graph.published[:] = [publisher("/flat/image_raw")]
+    found = cameras()
+    assert found == LiveCameras((), None)
+    assert len(said) == 2 and all(line.startswith("not shown: camera flat") for line in said)
 
 
 def test_a_rig_given_stands_in_for_what_the_graph_does_not_say(graph: Graph) -> None:

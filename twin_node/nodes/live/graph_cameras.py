@@ -10,7 +10,7 @@ from twin_node.messages.convert import TransformTree, of_pair, rig_camera
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import TF_STATIC, CameraTopics, GraphError, find_cameras
 from twin_node.nodes.viewer import LiveCameras
-from twin_node.rig import FrameAssembler
+from twin_node.rig import FrameAssembler, RigError
 from twin_node.runtime.rmw_zenoh import EntityKind
 from twin_node.scene import Rig, RigCamera
 
@@ -22,6 +22,7 @@ class GraphCameras:
         """`width`: of the views, px; `rig`: calibration in place of the graph's own."""
         self._bus = setup.bus
         self._endpoints = setup.endpoints
+        self._say = setup.say
         self._width = width
         self._rig = rig
         self._tree = TransformTree()
@@ -48,7 +49,23 @@ class GraphCameras:
         if known == self._known:
             return None
         self._known = known
-        return LiveCameras(topics, FrameAssembler(calibrated, self._width) if calibrated else None)
+        assembler = self._assembler(calibrated)
+        shown = set() if assembler is None else {camera.name for camera in assembler.cameras}
+        return LiveCameras(tuple(camera for camera in topics if camera.name in shown), assembler)
+
+    def _assembler(self, cameras: Sequence[RigCamera]) -> FrameAssembler | None:
+        """Of the cameras that views can be made of; None where there are none. The others are told of."""
+        try:
+            return FrameAssembler(cameras, self._width) if cameras else None
+        except RigError:
+            able = []
+            for camera in cameras:
+                try:
+                    FrameAssembler([camera], self._width)
+                    able.append(camera)
+                except RigError as error:
+                    self._say(f"not shown: {error}")
+            return FrameAssembler(able, self._width) if able else None
 
     def _published(self) -> Sequence[CameraTopics]:
         named = [(self._bus.named(e.topic), e.msgtype) for e in self._endpoints() if e.kind is EntityKind.PUBLISHER]
