@@ -154,7 +154,7 @@ def print_board(board: Board, path: Path) -> BoardPrint:
     with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}):
         figure.savefig(page, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
     with whole_file(path, RigError) as partial:  # on a full disk Matplotlib would trip over its own PDF
-        partial.write_bytes(page.getbuffer())
+        partial.write_bytes(page.getvalue())  # of its buffer in an error Python 3.12.1 crashes (issue 111049)
     return drawing
 
 
