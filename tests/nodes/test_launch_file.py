@@ -355,3 +355,5 @@ def test_arguments_for_which_nothing_runs_are_told(small: Path) -> None:
 def test_a_machine_s_role_is_one_of_two() -> None:
     with pytest.raises(TwinError, match="argument role: expected one of cameras, twin, found 'twinn'"):
         read_launch_file("launch/two_machines.yaml", ["role:=twinn"])
+    with pytest.raises(TwinError, match=r"needs role:=VALUE \(role: what this machine does \[cameras, twin\]\)"):
+        read_launch_file("launch/two_machines.yaml", [])

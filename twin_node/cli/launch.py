@@ -61,8 +61,7 @@ def _launch(options: argparse.Namespace) -> int | None:
     if options.show_args:
         for argument in read_arguments(options.file):
             default = "required" if argument.is_required else f"default: {argument.default!r}"
-            choices = f"{', '.join(argument.choices)}; " if argument.choices else ""
-            print(f"{argument.name}:=  {argument.help} ({choices}{default})")
+            print(f"{argument.name}:=  {argument.told} ({default})")
         return None
     from twin_node.nodes.launch.launch_file import NAMESPACE, in_one_process, read_launch_file, remapped
 

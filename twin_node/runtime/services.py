@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 from twin_node.messages import Message, MessageError
 from twin_node.messages.services import ServiceType
+from twin_node.runtime.qos import ORDER
 from twin_node.runtime.rmw_zenoh import (
     ADMIN_SPACE,
     Attachment,
@@ -31,8 +32,8 @@ Reply: TypeAlias = Callable[[Message], None]
 Answer: TypeAlias = Callable[[Message, Reply], None]
 """Answers a request. It is called in a thread that all services of a process share, so it must be quick."""
 
-PATIENCE_S = 10.0
-"""How long a client waits for a response, s, as rmw_zenoh does."""
+PATIENCE_S = ORDER.lifespan_s
+"""How long a client waits for a response, s: as long as an order is good for, and as rmw_zenoh does."""
 
 
 class ServiceDesk:

@@ -29,6 +29,11 @@ class Argument:
     choices: tuple[str, ...] = ()
     """Its values; empty: any."""
 
+    @property
+    def told(self) -> str:
+        """What it is for, and its values where these are a few."""
+        return f"{self.help} [{', '.join(self.choices)}]" if self.choices else self.help
+
 
 def launch_section(path: Path) -> dict[str, Any]:
     """The section `launch` of a launch file. Raises `GraphError` where it is none."""
@@ -99,7 +104,7 @@ def values_given(arguments: Sequence[Argument], given: Sequence[str], path: Path
         values[name] = _typed(known[name], value, path)
     missing = [a.name for a in arguments if a.is_required and not any(g.startswith(f"{a.name}:=") for g in given)]
     if missing:
-        hints = "; ".join(f"{name}: {known[name].help}" for name in missing)
+        hints = "; ".join(f"{name}: {known[name].told}" for name in missing)
         raise GraphError(f"{path}: needs {' and '.join(f'{name}:=VALUE' for name in missing)} ({hints})")
     return values
 

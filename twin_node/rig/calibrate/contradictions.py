@@ -31,8 +31,8 @@ MOST_UNLIKE = 0.02
 stated as 0.28 make it up."""
 
 FAR_MORE = 3.0
-"""Where a camera that was moved would explain so many times as much as another lens does, it was moved: lenses 1.5 to
-4 % off leave 1.1 to 1.5 times, cameras moved by 10 mm 75 times."""
+"""Where a camera that was moved would explain so many times as much as another lens or clock does, it was moved: lenses
+1.5 to 4 % off leave 1.1 to 1.5 times, cameras moved by 10 mm 75 times."""
 
 CAUSE = (
     "are the stamps those of its frames, in seconds, and the cameras' clocks within a second of each other all along? "
@@ -93,8 +93,7 @@ def check_lenses(names: Sequence[str], witnesses: Witnesses) -> None:
     told = list(zip(names, witnesses.bundle.state.lenses, witnesses.other_lenses(), strict=True))
     name, lens, worst = max(told, key=lambda one: one[2].gain)
     if worst.gain > MOST_GAIN and worst.matters:
-        if most_gained(witnesses) > FAR_MORE * worst.gain:
-            check_steady(names, witnesses)
+        _check_moved(names, witnesses, worst.gain)
         raise RigError(
             f"camera {name}: expected images through the lens given, which is fixed, of focal length "
             f"{lens.K[0, 0]:.1f} px, found some that fit {worst.focal_px:.1f} px and cameras up to "
@@ -111,13 +110,18 @@ def check_clocks(names: Sequence[str], witnesses: Witnesses) -> None:
     """
     told = witnesses.other_clocks()
     if told.gain > MOST_GAIN and told.matter:
-        if most_gained(witnesses) > FAR_MORE * told.gain:
-            check_steady(names, witnesses)
+        _check_moved(names, witnesses, told.gain)
         off = [f"{name}'s {1e3 * abs(s):.0f} ms" for name, s in zip(names[1:], told.later_s[1:], strict=True)]
         raise RigError(
             f"cameras {', '.join(names)}: expected stamps of one clock, as --fixed-clocks says, found them off those "
             f"of {names[0]}, by a first guess {', '.join(off)}; leave out --fixed-clocks"
         )
+
+
+def _check_moved(names: Sequence[str], witnesses: Witnesses, gain: float) -> None:
+    """Raises `RigError` where a camera was moved that explains far more than what else was found does, by its gain."""
+    if most_gained(witnesses) > FAR_MORE * gain:
+        check_steady(names, witnesses)
 
 
 def _alone(lens: Lens, points: Float64, sightings: Sequence[Sighting]) -> float:
