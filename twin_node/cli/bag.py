@@ -75,7 +75,11 @@ def add_play(commands: Any) -> None:
     play.add_argument("-m", "--remap", nargs="+", default=[], metavar="FROM:=TO", help="publish topic FROM as TO")
     play.add_argument("-p", "--start-paused", action="store_true", help="wait for Enter before the first message")
     play.add_argument(
-        "--read-ahead-queue-size", type=whole, default=1000, metavar="N", help="messages read ahead (default 1000)"
+        "--read-ahead-queue-size",
+        type=whole,
+        default=1000,
+        metavar="N",
+        help="messages read ahead, of 256 MiB together at most (default 1000)",
     )
     add_namespace(play, "publish in this namespace")
     play.set_defaults(run=_play)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,6 +12,7 @@ from twin_node.bag import LogMessage, LogReader, Topic, open_log
 from twin_node.bag.latched import is_of_several, standing_before
 from twin_node.messages import convert
 from twin_node.nodes.live.own_thread import OwnThread
+from twin_node.nodes.live.read_ahead import LONGEST_WAIT_S, read_ahead
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.player import Span, span_of
 from twin_node.nodes.topics import (
@@ -41,8 +41,6 @@ DELAYS = Range(0, 86_400)
 ORDERS = (FOLLOW, ACKNOWLEDGE)
 """What sets an arm going that its driver holds still: only who asks for them by name gives them again."""
 _ORDER = "which an arm on this graph would obey; name it with --topics ('topics') to have it played"
-LONGEST_WAIT_S = 0.1
-"""How long a player that waits may take to notice that it is to stop, s."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class PlayParameters:
     """`FROM:=TO` pairs, of the log's topics and of the `/clock` that is published."""
     start_paused: bool = False
     read_ahead_queue_size: int = 1000
-    """Messages read before they are due."""
+    """Messages read before they are due, of 256 MiB together at most."""
 
     def __post_init__(self) -> None:
         """Raises `GraphError` for a number that cannot be."""
@@ -162,7 +160,7 @@ class PlayNode(Node):
         self._time.start(self._span.start_ns)
         next_clock = self._span.start_ns
         period = int(1e9 / self._parameters.clock) if self._parameters.clock > 0 else 0
-        for message in _read_ahead(self._messages(), self._parameters.read_ahead_queue_size, self._stop):
+        for message in read_ahead(self._messages(), self._parameters.read_ahead_queue_size, self._stop):
             while period and next_clock <= message.stamp:
                 if not self._wait_until(next_clock):
                     return
@@ -293,47 +291,3 @@ def _check_types(log: LogReader, names: Mapping[str, str]) -> None:
                 f"({first.msgtype}) and {topic.name} ({topic.msgtype}); remap one of them to another name, or leave it "
                 "out with --topics"
             )
-
-
-def _read_ahead(messages: Iterator[LogMessage], size: int, stop: threading.Event) -> Iterator[LogMessage]:
-    """The messages, read by a thread of its own up to `size` ahead; it ends with `stop`, and with the iteration.
-
-    Nobody reads the log any more when the iteration has ended. Raises whatever reading it raises.
-    """
-    waiting: queue.Queue[LogMessage | BaseException | None] = queue.Queue(size)
-    is_ended = threading.Event()
-
-    def put(item: LogMessage | BaseException | None) -> bool:
-        while not (stop.is_set() or is_ended.is_set()):
-            try:
-                waiting.put(item, timeout=LONGEST_WAIT_S)
-            except queue.Full:
-                continue
-            return True
-        return False
-
-    def read() -> None:
-        try:
-            for message in messages:
-                if not put(message):
-                    return
-            put(None)
-        except BaseException as error:  # raised again in the thread that plays, whatever it is
-            put(error)
-
-    thread = threading.Thread(target=read, name="read ahead", daemon=True)
-    thread.start()
-    try:
-        while not stop.is_set():
-            try:
-                item = waiting.get(timeout=LONGEST_WAIT_S)
-            except queue.Empty:
-                continue
-            if isinstance(item, BaseException):
-                raise item
-            if item is None:
-                return
-            yield item
-    finally:
-        is_ended.set()
-        thread.join()
