@@ -130,8 +130,9 @@ def test_it_is_told_after_a_moment_and_taken_back_once_it_fits() -> None:
 
 
 def test_what_was_told_is_forgotten_once_nobody_sees_the_arm_any_more() -> None:
-    """As where somebody stands before every lens, or a camera is gone."""
-    for later in (moved(seen(0, hand=True), turned(180)), replace(seen(0), views=())):
+    """As where somebody stands before every lens, a camera is gone, or nobody tells the joints any more."""
+    no_joints = replace(moved(seen(0), shifted(0.25, 0, 0)), joints=None)
+    for later in (moved(seen(0, hand=True), turned(180)), replace(seen(0), views=()), no_joints):
         sight = ArmSight(ARM)
         for at in np.arange(0.0, 2.0, 0.1):
             sight.heed(replace(moved(seen(0), shifted(0.25, 0, 0)), stamp=int(at * 1e9)))

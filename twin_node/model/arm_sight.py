@@ -52,21 +52,22 @@ class ArmSight:
         """What would explain it, as far as that has been found."""
 
     def heed(self, frames: FrameSet) -> None:
-        """Takes in a set with its joints. Raises `RobotError` for joints that are not the arm's."""
-        if self._arm is None or frames.joints is None:
+        """Takes in a set; without joints no camera tells anything. Raises `RobotError` for joints of another arm."""
+        if self._arm is None:
             return
         since_ns = EVERY_NS if self._looked is None else frames.stamp - self._looked
         if since_ns < EVERY_NS:
             return
         self._looked = frames.stamp
-        q = self._arm.ordered_positions(frames.joints)
-        uptake, shares = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S), _shares(self._arm, q, frames.views)
+        q = None if frames.joints is None else self._arm.ordered_positions(frames.joints)
+        uptake = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S)
+        shares = {} if q is None else _shares(self._arm, q, frames.views)
         names = dict.fromkeys((*self._past, *shares))
         past = {name: (1 - uptake) * self._past.get(name, 0.0) + uptake * shares.get(name, 0.0) for name in names}
         self._past = {name: share for name, share in past.items() if name in shares or share > FITS}
         if not self._wrong:
             self._cause = ""
-        elif not self._cause and shares:
+        elif not self._cause and q is not None and shares:
             self._cause = next(self._explanations(q, frames.views, len(shares)), "")
 
     @property
