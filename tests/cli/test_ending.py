@@ -22,10 +22,11 @@ from twin_node.nodes.launch.launcher import LaunchResult
 
 @pytest.fixture(autouse=True)
 def unhandled() -> Iterator[None]:
-    """The tests themselves may run under `nohup`, which has them ignore one."""
-    before = [signal.signal(number, signal.SIG_DFL) for number in SIGNALS]
+    """The tests themselves may run under `nohup`, or behind a shell's `&`, which have them ignore some."""
+    at_start = {**dict.fromkeys(SIGNALS, signal.SIG_DFL), signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in at_start.items()}
     yield
-    for number, handler in zip(SIGNALS, before, strict=True):
+    for number, handler in before.items():
         signal.signal(number, handler)
 
 
