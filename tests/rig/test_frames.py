@@ -34,10 +34,6 @@ def image(stamp: int) -> DecodedImage:
     return DecodedImage(stamp, np.full((240, 320, 3), stamp // MS % 256, np.uint8))
 
 
-def joints(stamp: int) -> JointSample:
-    return JointSample(stamp, ("j",), np.array([stamp / MS]), np.zeros(1))
-
-
 def test_views_stand_in_the_rigs_order_with_their_own_stamps() -> None:
     assembler = FrameAssembler(CAMERAS, width=160)
     frames = assembler.assemble({"back": image(5 * MS), "left": image(9 * MS), "right": image(7 * MS)})
@@ -71,29 +67,70 @@ def test_a_silent_camera_is_missing_and_sets_are_counted() -> None:
     assert assembler.assemble({"left": image(0)}).sequence == 0
 
 
-def test_the_nearest_joints_are_attached() -> None:
+def sample(stamp_ms: int, *positions: float, speed: float = 0.0, names: tuple[str, ...] = ("a", "b")) -> JointSample:
+    return JointSample(stamp_ms * MS, names, np.array(positions), np.full(len(positions), speed))
+
+
+def attached(assembler: FrameAssembler, *stamps_ms: int) -> list[JointSample | None]:
+    return [assembler.assemble({"left": image(stamp * MS)}).joints for stamp in stamps_ms]
+
+
+def test_joints_are_those_at_the_sets_time() -> None:
+    """Of an arm that tells them at 10 Hz the nearest ones are 5 cm off at 1 m/s."""
     assembler = FrameAssembler(CAMERAS, width=160)
-    for stamp in (0, 10 * MS, 30 * MS, 20 * MS, 3_000 * MS):
-        assembler.add_joints(joints(stamp))
-    attached = [assembler.assemble({"left": image(t * MS)}).joints for t in (1, 19, 26, 3_010, 3_101)]
-    # The first three are more than two seconds older than the newest: forgotten.
-    assert [None if sample is None else sample.stamp // MS for sample in attached] == [None, None, None, 3_000, None]
+    for told in (sample(0, 0.0, 1.0, speed=4.0), sample(100, 0.5, 0.0, speed=6.0), sample(50, 0.4, 0.4, speed=8.0)):
+        assembler.add_joints(told)
+    at = (0, 10, 50, 75, 100, 120)
+    found = [one for one in attached(assembler, *at) if one is not None]
+    assert [one.stamp // MS for one in found] == [*at]
+    positions, speeds = np.array([(one.positions, one.velocities) for one in found]).swapaxes(0, 1)
+    assert positions == pytest.approx(
+        np.array([(0, 1.0), (0.08, 0.88), (0.4, 0.4), (0.45, 0.2), (0.5, 0), (0.62, 0.12)])
+    )
+    assert speeds[:, 0] == pytest.approx(np.array([4.0, 4.8, 8.0, 7.0, 6.0, 6.0]))
+
+
+def test_joints_without_others_around_them_are_moved_on_where_they_tell_how_fast() -> None:
+    """Without velocities they stay what they are, and of their own time: clocks are measured by it."""
+    for speed, stamp, position in ((2.0, 120, 1.04), (0.0, 100, 1.0)):
+        assembler = FrameAssembler(CAMERAS, width=160)
+        assembler.add_joints(sample(100, 1.0, speed=speed, names=("a",)))
+        (found,) = attached(assembler, 120)
+        assert found is not None
+        assert (found.stamp, float(found.positions[0])) == (stamp * MS, pytest.approx(position))
+        assert attached(assembler, 201, -1) == [None, None]
+
+
+@pytest.mark.parametrize(
+    "after",
+    [sample(20, -3.1, 0.0), sample(20, 3.0, 0.0, names=("b", "a")), sample(20, 3.0, names=("a",))],
+    ids=["counted within one turn", "in another order", "of others"],
+)
+def test_nothing_lies_between_joints_that_do_not_follow_each_other(after: JointSample) -> None:
+    assembler = FrameAssembler(CAMERAS, width=160)
+    before = sample(0, 3.1, 0.0)
+    assembler.add_joints(before)
+    assembler.add_joints(after)
+    assert attached(assembler, 9, 11) == [before, after]
+
+
+def test_joints_of_long_ago_are_forgotten() -> None:
+    assembler = FrameAssembler(CAMERAS, width=160)
+    for stamp in (0, 10, 30, 20, 3_000):
+        assembler.add_joints(sample(stamp, 0.0, 0.0))
+    # The first are more than two seconds older than the newest.
+    stamps = [None if one is None else one.stamp // MS for one in attached(assembler, 1, 19, 26, 3_010, 3_101)]
+    assert stamps == [None, None, None, 3_000, None]
     assembler.reset()
-    for stamp in (0, 10 * MS, 30 * MS, 20 * MS):
-        assembler.add_joints(joints(stamp))
-    attached = [assembler.assemble({"left": image(t * MS)}).joints for t in (1, 19, 26, 131)]
-    assert [None if sample is None else sample.stamp // MS for sample in attached] == [0, 20, 30, None]
+    assert attached(assembler, 3_010) == [None]
 
 
 def test_joints_are_attached_again_after_their_clock_was_put_back() -> None:
     """A sample of a clock that is ahead must not outlive all that come after it."""
     assembler = FrameAssembler(CAMERAS, width=160)
-    for stamp in (60_000 * MS, 10 * MS, 20 * MS):
-        assembler.add_joints(joints(stamp))
-    attached = assembler.assemble({"left": image(19 * MS)}).joints
-    assert attached is not None
-    assert attached.stamp == 20 * MS
-    assert assembler.assemble({"left": image(60_000 * MS)}).joints is None
+    for stamp in (60_000, 10, 20):
+        assembler.add_joints(sample(stamp, 0.0, 0.0))
+    assert [one is not None for one in attached(assembler, 19, 60_000)] == [True, False]
 
 
 def test_wrong_images() -> None:

@@ -22,15 +22,15 @@ AROUND = np.ones((3, 3), np.uint8)
 
 
 def robot_masks(model: ArmModel | None, frames: FrameSet) -> tuple[Bool | None, ...]:
-    """Per view the pixels [H, W] that show the arm, by the set's joints and measured depth; None where arm or joints
-    are not known.
+    """Per view the pixels [H, W] that show the arm, by the joints at its stamp and measured depth; None where arm or
+    joints are not known.
 
     Raises `RobotError` for joints that are not the model's.
     """
     if model is None or frames.joints is None:
         return (None,) * len(frames.views)
-    q = model.ordered_positions(frames.joints)
-    outlines = [robot_outline(model, q, view.camera) for view in frames.views]
+    at = [model.ordered_positions(frames.joints.at(view.stamp)) for view in frames.views]
+    outlines = [robot_outline(model, q, view.camera) for q, view in zip(at, frames.views, strict=True)]
     return tuple(shown_arms(outlines, frames.views))
 
 

@@ -134,7 +134,7 @@ class ArmSkin:
             return
         skins = []
         for one, mask in seen:
-            skins.append(self._skin(one, mask, joints))
+            skins.append(self._skin(one, mask, joints.at(one.view.stamp)))
             yield
         shown = self._learn(skins, poses)
         yield

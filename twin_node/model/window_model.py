@@ -348,10 +348,10 @@ class WindowModel:
     def _arm_depths(self, frames: FrameSet, robots: tuple[Bool | None, ...]) -> list[Float32 | None]:
         if self._arm is None or frames.joints is None:
             return [None] * len(frames.views)
-        q = self._arm.ordered_positions(frames.joints)
+        at = [self._arm.ordered_positions(frames.joints.at(view.stamp)) for view in frames.views]
         return [
             None if mask is None else arm_depth(self._arm, q, view.camera, mask)
-            for view, mask in zip(frames.views, robots, strict=True)
+            for q, view, mask in zip(at, frames.views, robots, strict=True)
         ]
 
     def _bind_arm(self, tracker: Tracker, frames: FrameSet, robots: tuple[Bool | None, ...]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -148,6 +148,13 @@ class JointSample:
     def __post_init__(self) -> None:
         count_as_python(self)
 
+    def at(self, stamp: int) -> JointSample:
+        """The joints moved on, or back, at their velocities to a stamp, ns; as they are where no velocity is told."""
+        if not self.velocities.any():
+            return self
+        positions = self.positions + (stamp - self.stamp) * 1e-9 * self.velocities
+        return replace(self, stamp=stamp, positions=positions)
+
 
 @dataclass(frozen=True)
 class JointPath:
@@ -169,7 +176,7 @@ class FrameSet:
     views: tuple[View, ...]
     """One per live camera, in the rig's order; a silent camera is missing."""
     joints: JointSample | None = None
-    """The arm's joints nearest to `stamp`, where the source has them."""
+    """The arm's joints at `stamp`, or the nearest that are known, where the source has them."""
     sequence: int = 0
     """Counts sets from the source, the dropped ones too."""
 
