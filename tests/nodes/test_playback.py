@@ -14,12 +14,13 @@ from twin_logs import MOMENTS, PERIOD, START, cloud_at
 
 from twin_node.bag import LogMessage, LogWriter, open_log
 from twin_node.cli import main
+from twin_node.geometry import looking_at
 from twin_node.messages import convert
 from twin_node.nodes.export import LogSource
 from twin_node.nodes.overlays import arm_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OCCUPANCY, TRAJECTORY, GraphError
-from twin_node.robot import RobotError, ur_model
+from twin_node.robot import RobotError, robot_mask, ur_model
 from twin_node.scene import Camera, JointPath, JointSample
 
 
@@ -95,10 +96,29 @@ def test_a_grippers_joints_do_not_hide_the_arms(gripper_log: Path) -> None:
         moments = LogSource(playback).moments(times, arm, with_clouds=False)
         assert [None if m.q is None else m.q[0] for m in moments] == pytest.approx([0.1, 0.2, 0.2])
         camera = Camera("c", 32, 24, np.array([[20.0, 0, 16], [0, 20, 12], [0, 0, 1]]), np.eye(4))
-        assert arm_mask(playback.at(times[1]), camera, arm) is not None
+        assert arm_mask(playback.at(times[1]), camera, arm, times[1]) is not None
         strange = replace(arm, joint_names=tuple(f"other_{name}" for name in arm.joint_names))
         with pytest.raises(RobotError, match="found finger_joint"):
-            arm_mask(playback.at(times[1]), camera, strange)
+            arm_mask(playback.at(times[1]), camera, strange, times[1])
+
+
+def test_an_arm_is_shown_where_it_was_when_the_image_beside_it_was_taken(tmp_path: Path) -> None:
+    """Of joints that come at 10 Hz the newest are up to 0.1 s old, those at 500 Hz newer than the image."""
+    arm, path = ur_model("ur10e"), tmp_path / "turning.mcap"
+    with LogWriter(path) as log:
+        for k in range(3):
+            told = JointSample(START + k * PERIOD, arm.joint_names, np.full(6, 0.1 * k), np.full(6, 1.0))
+            log.write(JOINT_STATES, convert.joint_sample_to_message(told), told.stamp)
+    camera = Camera(
+        "c", 32, 24, np.array([[20.0, 0, 16], [0, 20, 12], [0, 0, 1]]), looking_at(np.array([2.0, 1, 1]), np.zeros(3))
+    )
+    with Playback([path]) as playback:
+        for age_s in (-0.05, 0.0, 0.15):
+            snapshot = playback.at(START + 2 * PERIOD)
+            mask = arm_mask(snapshot, camera, arm, snapshot.stamp - int(age_s * 1e9))
+            np.testing.assert_array_equal(mask, robot_mask(arm, np.full(6, 0.2 - age_s), camera))
+        moments = LogSource(playback).moments([START + int(s * 1e9) for s in (0.05, 0.24, 2.0)], arm, False)
+        assert [None if m.q is None else m.q[0] for m in moments] == pytest.approx([0.05, 0.24, 0.2])
 
 
 def test_joints_are_unknown_until_the_arm_first_tells_and_known_however_long_ago(tmp_path: Path) -> None:

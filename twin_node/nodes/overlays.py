@@ -13,12 +13,13 @@ TINT = 0.45
 """Share of a mask's colour in the image."""
 
 
-def arm_mask(snapshot: Snapshot, camera: Camera, arm: ArmModel) -> Bool | None:
-    """[H, W] True on the arm at its joints, as the twin's self filter has it; None where the joints are unknown.
+def arm_mask(snapshot: Snapshot, camera: Camera, arm: ArmModel, stamp: int) -> Bool | None:
+    """[H, W] True on the arm where its joints were when an image was taken, as the twin's self filter has it; None
+    where they are unknown. `stamp`: of the image, ns.
 
     Raises `RobotError` where the joints are not those of `arm`.
     """
-    joints = snapshot.joints_of(arm.joint_names)
+    joints = snapshot.joints_at(arm.joint_names, stamp)
     return None if joints is None else robot_mask(arm, arm.ordered_positions(joints), camera)
 
 

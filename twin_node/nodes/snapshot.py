@@ -63,7 +63,7 @@ def _never(_names: frozenset[str]) -> Said | None:
 
 
 LONGEST_MOVE_S = 0.2
-"""How far Gaussians are moved on at their velocities, s: as far as the twin foresees."""
+"""How far Gaussians and joints are moved on at their velocities, s: as far as the twin foresees."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +175,15 @@ class Snapshot:
         except LookupError:
             return newest
         return None if said is None else _read(JOINT_STATES, said, convert.joint_sample_from_message)
+
+    def joints_at(self, names: Collection[str], stamp: int) -> JointSample | None:
+        """`joints_of`, moved on at their velocities to a time near their own, ns; as they are at any other.
+
+        An image that has just come is older than the joints that have: beside it the arm is where it was then.
+        """
+        joints = self.joints_of(names)
+        is_near = joints is not None and abs(stamp - joints.stamp) <= LONGEST_MOVE_S * 1e9
+        return joints.at(stamp) if joints is not None and is_near else joints
 
     @cached_property
     def path(self) -> JointPath | None:

@@ -105,5 +105,5 @@ class LogSource:
 
 def _angles(said: Snapshot, arm: ArmModel) -> Float64 | None:
     """[J] the arm's joints, rad; None before the first were said."""
-    joints = said.joints_of(arm.joint_names)
+    joints = said.joints_at(arm.joint_names, said.stamp)
     return None if joints is None else arm.ordered_positions(joints)

@@ -115,7 +115,7 @@ class Film:
         if snapshot.foreseen is None:
             picture = _noted(np.asarray(picture // 2), "no forecast", row=1)
         foreseen, moving = moving_mask(snapshot, camera, -1), moving_mask(snapshot, camera, 0)
-        arm = arm_mask(snapshot, camera, self._arm)
+        arm = arm_mask(snapshot, camera, self._arm, snapshot.stamp if view is None else view.stamp)
         if foreseen is not None:
             picture = fill(picture, foreseen, FORESEEN)
         for mask, colour in ((arm, OUTLINE_COLOUR), (moving, TRUE)):

@@ -82,7 +82,7 @@ class Frusta:
 
     def _masked(self, view: View, snapshot: Snapshot) -> UInt8:
         image = view.rgb
-        arm = arm_mask(snapshot, view.camera, self._arm)
+        arm = arm_mask(snapshot, view.camera, self._arm, view.stamp)
         if arm is not None:
             image = tinted(image, arm, ARM_COLOUR)
         moving = moving_mask(snapshot, view.camera, 0)

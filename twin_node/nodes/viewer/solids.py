@@ -42,7 +42,7 @@ class ArmBody:
         """
         now = ahead = None
         try:
-            joints = snapshot.joints_of(self._arm.joint_names)
+            joints = snapshot.joints_at(self._arm.joint_names, snapshot.stamp)
             now = None if joints is None else self._arm.ordered_positions(joints)
             ahead = self._ahead(snapshot, joints)
         finally:
@@ -59,9 +59,7 @@ class ArmBody:
         if path is not None:
             sampled = sample_path(path, np.array([snapshot.stamp + AHEAD_NS]))[0]
             return self._arm.order(path.names, sampled)
-        if joints is not None and len(joints.velocities) == len(joints.positions):
-            return self._arm.order(joints.names, joints.positions + joints.velocities * AHEAD_NS * 1e-9)
-        return None
+        return None if joints is None else self._arm.ordered_positions(joints.at(joints.stamp + AHEAD_NS))
 
     def _add(self, server: Any, group: str, link: int, opacity: float | None) -> Any | None:
         meshes = []
