@@ -79,6 +79,14 @@ def test_neither_forecast_nor_baselines_hold_the_arm_itself() -> None:
     assert len(others.layers[0].indices) > 0.5 * len(alone.layers[0].indices)
 
 
+def test_the_arms_space_is_where_it_has_got_to_since_its_joints_were_told() -> None:
+    state, speeds = seen_arm(0), np.array([2.0, 0.5, 0, 0, 0, 0])
+    old = JointSample(-100_000_000, JOINTS.names, JOINTS.positions - 0.1 * speeds, speeds)
+    moved_on = replace(state, frames=replace(state.frames, joints=old))
+    layers = [Forecaster(GRID, arm=ARM).update(one, 0).occupancy.layers[0] for one in (state, moved_on)]
+    np.testing.assert_array_equal(layers[0].indices, layers[1].indices)
+
+
 def test_states_without_joints_lose_nothing() -> None:
     state = seen_arm(0)
     without = replace(state, frames=replace(state.frames, joints=None))

@@ -144,6 +144,19 @@ def test_what_was_told_is_forgotten_once_nobody_sees_the_arm_any_more() -> None:
         assert sight.warnings == ()
 
 
+def test_joints_that_were_told_some_time_ago_say_where_the_arm_is_by_now() -> None:
+    """At 10 Hz they are up to 0.1 s old: a quick arm is elsewhere since, as they say themselves."""
+    frames, speeds = seen(0), np.array([2.5, 1.0, 0, 0, 0, 0])
+    assert frames.joints is not None
+    old = replace(frames.joints, positions=Q - 0.1 * speeds, velocities=speeds)
+    for told, is_wrong in ((old, False), (replace(old, velocities=np.zeros(6)), True)):
+        sight = ArmSight(ARM)
+        for at in np.arange(0.0, 1.5, 0.1):
+            stamp = int(at * 1e9)
+            sight.heed(replace(frames, stamp=stamp, joints=replace(told, stamp=stamp - 100_000_000)))
+        assert bool(sight.warnings) == is_wrong
+
+
 def test_without_an_arm_joints_or_depth_there_is_nothing_to_tell() -> None:
     wrong = moved(seen(0), turned(180))
     for sight, frames in (

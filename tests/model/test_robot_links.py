@@ -51,6 +51,24 @@ def test_robot_gaussians_move_with_the_joints_and_are_no_nodes_to_forecast() -> 
     assert np.linalg.norm(second.gaussians.velocities[second.gaussians.tiers == Tier.ROBOT], axis=1).max() > 0.5
 
 
+def test_an_arm_that_tells_its_joints_rarely_is_where_it_is_by_now() -> None:
+    """At 10 Hz the newest are up to 0.1 s old: moved on at their velocities the arm is as if it had told them."""
+    parameters = ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2, map=MapParameters(steps=0))
+    fresh, late = (WindowModel(parameters, arm=ARM) for _ in range(2))
+    speeds, ago_s = np.array([1.0, 0, 0, 0, 0, 0]), 0.09
+    for index in range(3):
+        known = with_joints(frames(index, None, CAMERAS), ARM.joint_names, Q + 0.033 * index * speeds)
+        assert known.joints is not None
+        told = replace(known.joints, velocities=speeds)
+        old = replace(told, stamp=told.stamp - int(ago_s * 1e9), positions=told.positions - ago_s * speeds)
+        here, there = (
+            model.update(replace(known, joints=joints)).gaussians for model, joints in ((fresh, told), (late, old))
+        )
+        own = here.tiers == Tier.ROBOT
+        assert own.any()
+        np.testing.assert_allclose(there.means[there.tiers == Tier.ROBOT], here.means[own], atol=1e-4)
+
+
 def test_the_arm_is_as_fast_as_its_joints_turn_and_stands_while_nobody_tells_of_them() -> None:
     parameters = ModelParameters(seed=SeedParameters(steps=2), gaussians_per_pixel=0.2, map=MapParameters(steps=0))
     model, told = WindowModel(parameters, arm=ARM), []

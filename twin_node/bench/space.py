@@ -86,7 +86,7 @@ class SpaceTally:
         """[grid.size] voxels that the arm takes up: no camera sees them, and they are no obstacle to it."""
         if self._arm is None or state.frames.joints is None:
             return np.zeros(self._grid.size, np.bool_)
-        return own_space(self._grid, self._arm, state.frames.joints).mask()
+        return own_space(self._grid, self._arm, state.frames.joints.at(state.frames.stamp)).mask()
 
     def _follow_vacated(self, state: TwinState, forecast: Occupancy, occupied: Bool, blocked: Bool) -> None:
         self._was_occupied |= occupied

@@ -204,7 +204,7 @@ class Observer:
         """What the arm takes up itself; None where there is none, or nobody tells of its joints."""
         if self._arm is None or state.frames.joints is None:
             return None
-        return own_space(self.grid, self._arm, state.frames.joints)
+        return own_space(self.grid, self._arm, state.frames.joints.at(state.frames.stamp))
 
     def _speed(self) -> float:
         """How fast things moved last, m/s: so that `_FAST_SHARE` of the parts were slower."""

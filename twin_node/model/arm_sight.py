@@ -59,7 +59,7 @@ class ArmSight:
         if since_ns < EVERY_NS:
             return
         self._looked = frames.stamp
-        q = None if frames.joints is None else self._arm.ordered_positions(frames.joints)
+        q = None if frames.joints is None else self._arm.ordered_positions(frames.joints.at(frames.stamp))
         uptake = 1 - math.exp(-since_ns * 1e-9 / MEMORY_S)
         shares = {} if q is None else _shares(self._arm, q, frames.views)
         names = dict.fromkeys((*self._past, *shares))

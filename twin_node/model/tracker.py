@@ -141,7 +141,8 @@ class Tracker:
         self._nodes.predict(frames.stamp, self._parameters.track.velocity_damping)
         self._motion.slide(frames.stamp)
         if self._links is not None:
-            self._links.drive(frames.joints, dt_s)
+            joints = None if frames.joints is None else frames.joints.at(frames.stamp)
+            self._links.drive(joints, dt_s)
         self._step_budget.plan(Part.FIT, self._planned(dt_s))
         aligned = self._align(observed, dt_s)
         self._decisions += self._aligner.take_decisions()

@@ -358,9 +358,9 @@ class WindowModel:
         """What lies on the arm goes with it from the first set on that tells of its joints and finds nodes for it."""
         if tracker.has_arm or self._arm is None or frames.joints is None or self._nodes.free < len(links_of(self._arm)):
             return
-        links = RobotLinks(self._arm, self._nodes, frames.joints)
-        masks = [mask for mask in robots if mask is not None]
-        links.bind(self._gaussians, frames.joints, masks, [view.camera for view in frames.views])
+        joints, masks = frames.joints.at(frames.stamp), [mask for mask in robots if mask is not None]
+        links = RobotLinks(self._arm, self._nodes, joints)
+        links.bind(self._gaussians, joints, masks, [view.camera for view in frames.views])
         tracker.follow_arm(links)
 
     def _track(self, begun: _Begun, seen: TwinState) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ class DecodedImage:
 
 
 class FrameAssembler:
-    """Makes frame sets of a rig's images at the working width, with the arm's joints at their time.
+    """Makes frame sets of a rig's images at the working width, with the arm's joints at or near their time.
 
     Raises `RigError` for a rig without cameras.
     """
@@ -99,14 +99,14 @@ class FrameAssembler:
         self._sequence = 0
 
     def _joints_at(self, stamp: int) -> JointSample | None:
-        """Between the samples before and after a stamp, ns, or the only one moved on from there."""
+        """Between the samples before and after a stamp, ns, or the only one: it keeps its time, by which it is old."""
         place = bisect_left(self._joints, stamp, key=lambda s: s.stamp)
         around = [s for s in self._joints[max(place - 1, 0) : place + 1] if abs(s.stamp - stamp) <= MOST_JOINT_GAP_NS]
         match around:
             case [before, after]:
                 return _between(before, after, stamp)
             case [only]:
-                return only.at(stamp)
+                return only
             case _:
                 return None
 
@@ -114,12 +114,11 @@ class FrameAssembler:
 def _between(before: JointSample, after: JointSample, stamp: int) -> JointSample:
     """The joints at a stamp, ns, after that of one sample and up to that of the next.
 
-    Those of the nearer one moved on, where the two tell of other joints, or one has turned by half a turn meanwhile:
-    some drivers count joints without limits within one turn.
+    The nearer sample, where the two tell of other joints, or one has turned by half a turn meanwhile: some drivers
+    count joints without limits within one turn.
     """
-    nearer = before if 2 * stamp < before.stamp + after.stamp else after
     if before.names != after.names or np.abs(after.positions - before.positions).max(initial=0.0) > math.pi:
-        return nearer.at(stamp)
+        return before if 2 * stamp < before.stamp + after.stamp else after
     share = (stamp - before.stamp) / (after.stamp - before.stamp)
     positions, velocities = (
         (1 - share) * a + share * b

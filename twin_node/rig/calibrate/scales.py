@@ -124,13 +124,13 @@ class ArmInSight:
             own = [(frames, view) for frames in self._sets for view in frames.views if view.camera.name == name]
             changed = [np.abs(view.rgb.astype(np.int16) - still).max(-1) > MOVING_LEVELS for _, view in own]
             camera = _pinhole(cameras[name], still.shape[1], still.shape[0])
-            masks = [self._mask(frames, camera) for frames, _ in own]
+            masks = [self._mask(frames, view.stamp, camera) for frames, view in own]
             gains += _gains(masks, changed)
         return float(np.mean(gains)) if len(gains) >= LEAST_GAINS else None
 
-    def _mask(self, frames: FrameSet, camera: Camera) -> Bool:
+    def _mask(self, frames: FrameSet, stamp: int, camera: Camera) -> Bool:
         assert frames.joints is not None
-        return robot_mask(self._arm, self._arm.ordered_positions(frames.joints), camera, 0.0)
+        return robot_mask(self._arm, self._arm.ordered_positions(frames.joints.at(stamp)), camera, 0.0)
 
 
 LEAST_GAINS = 8
