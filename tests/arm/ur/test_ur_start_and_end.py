@@ -225,7 +225,7 @@ def test_a_driver_that_may_plays_on_by_itself_when_forecasts_are_back(other: Sta
     shift.play()
     shift.until_moving()
     other.switch("cut")
-    shift.until(lambda: other.status().runtime_state == "PAUSED")
+    shift.until(lambda: other.status().runtime_state == "PAUSED" and shift.driver.latest.state is not DriverState.READY)
     other.switch("join")
     shift.until_moving()
     shift.close()
