@@ -50,6 +50,19 @@ def test_a_driver_that_may_resume_waits_for_all_to_be_well_for_a_while() -> None
     assert bench.run(200).speed_fraction == 1.0
 
 
+def test_a_driver_that_resumes_speeds_up_from_rest_whatever_was_decided_while_it_was_halted() -> None:
+    bench = Bench(resumes=True, limiter=LimiterParameters(deadline_s=0.07))
+    bench.run(1200)
+    bench.is_alive = False
+    bench.run(100)
+    bench.is_alive = True
+    before = len(bench.link.speeds)
+    bench.ms_until(DriverState.READY)
+    assert bench.report.reason == "stopped: no forecast yet"
+    bench.run(64)
+    assert max(bench.link.speeds[before:]) < 0.1
+
+
 def test_a_driver_that_may_resume_waits_anew_after_each_time_that_something_was_wrong() -> None:
     bench = Bench(resumes=True)
     bench.run(320)

@@ -279,6 +279,7 @@ class UrDriver:
             self._link.play()  # only what the halt has paused: whoever paused it before may be beside the arm
         self._follower = None
         self._limiter = SpeedLimiter(self._parameters.limiter)
+        self._told = self._limiter.tick(now)  # one that resumes would yet be told what was decided while it was halted
         self._heard = None
         self._halt = None
 
