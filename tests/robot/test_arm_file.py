@@ -5,12 +5,13 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from twin_node.errors import TwinWarning
 from twin_node.robot import RobotError
-from twin_node.robot.mjcf import load_arm
+from twin_node.robot.mjcf import load_arm, write_mjcf
 
 ROS_URDF = """
 <robot name="arm">
@@ -122,3 +123,15 @@ def test_a_base_that_is_not_where_the_files_world_is_is_told(
         said
     )
     assert all(one.category is TwinWarning for one in told)
+
+
+@pytest.mark.parametrize(("first", "base"), [("turntable", "base_link"), ("base_link", "link_0")])
+def test_an_arm_may_stand_on_the_files_world_itself(tmp_path: Path, first: str, base: str) -> None:
+    """Its collision scene was to have a body of the world's name, and ended in a trace of MuJoCo's."""
+    (tmp_path / "arm.xml").write_text(
+        f'<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="{first}"><joint/><geom size="0.1"/>'
+        '<body pos="0 0 0.3"><joint axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>'
+    )
+    arm = load_arm(tmp_path / "arm.xml")
+    assert arm.link_names == (base, first, "link_2")
+    assert mujoco.MjModel.from_xml_string(write_mjcf(arm)).njnt == 2

@@ -105,12 +105,11 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     lower = np.where(limited, engine.jnt_range[joints, 0], -np.inf)
     upper = np.where(limited, engine.jnt_range[joints, 1], np.inf)
     bodies = engine.jnt_bodyid[joints]
-    base = engine.body_parentid[bodies[0]]
     try:
         capsules = _enclose(engine, data, bodies, frames)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from None
-    link_names = tuple(engine.body(int(body)).name or f"link_{k}" for k, body in enumerate([base, *bodies]))
+    link_names = _link_names(engine, bodies)
     origins = inverse_pose(frames[:-1]) @ frames[1:]
     _refuse_bare_links(path, link_names, origins, capsules)
     return ArmModel(
@@ -175,6 +174,14 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
             "nobody would follow; name it too if it is a hinge, or fix it in the file where it never moves"
         )
     return joints
+
+
+def _link_names(engine: Any, bodies: NDArray[np.integer]) -> tuple[str, ...]:
+    """Names [J + 1] of what the arm stands on and of its links; the file's world is called `BASE` where no link is."""
+    base = int(engine.body_parentid[bodies[0]])
+    links = [engine.body(int(body)).name or f"link_{k}" for k, body in enumerate(bodies, 1)]
+    stand = engine.body(base).name if base else BASE
+    return (stand if stand and stand not in links else "link_0", *links)
 
 
 def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
