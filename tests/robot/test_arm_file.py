@@ -135,3 +135,11 @@ def test_an_arm_may_stand_on_the_files_world_itself(tmp_path: Path, first: str, 
     arm = load_arm(tmp_path / "arm.xml")
     assert arm.link_names == (base, first, "link_2")
     assert mujoco.MjModel.from_xml_string(write_mjcf(arm)).njnt == 2
+
+
+@pytest.mark.parametrize("encoding", ["GB2312", "none-such"])
+def test_an_arms_file_may_name_any_encoding(tmp_path: Path, encoding: str) -> None:
+    """MuJoCo reads it; what looks for the joints' ratings in it did not, and ended in a trace."""
+    text = ROS_URDF.replace('<mesh filename="{mesh}"/>', '<box size="0.1 0.1 0.4"/>').strip()
+    (tmp_path / "arm.urdf").write_text(f'<?xml version="1.0" encoding="{encoding}"?>\n{text}')
+    assert load_arm(tmp_path / "arm.urdf").max_velocity.tolist() == [2.0, 15.0]

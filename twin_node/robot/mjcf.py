@@ -188,7 +188,8 @@ def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
     """Velocities [J] (rad/s) that a URDF rates its joints at; what many files give in place of one is none."""
     told: dict[str, str] = {}
     with suppress(ExpatError):  # MuJoCo reads more than is XML: who writes such a file gives no ratings
-        robot: Any = expatbuilder.parse(str(path), namespaces=False).documentElement  # prefixes are often undeclared
+        text = Path(path).read_text("utf-8", "replace")  # as MuJoCo reads it, whatever encoding it names
+        robot: Any = expatbuilder.parseString(text, namespaces=False).documentElement  # prefixes are often undeclared
         for joint in _children(robot, "joint"):
             limits = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
             told[joint.getAttribute("name")] = limits[0] if limits else ""
