@@ -52,6 +52,20 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
     assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
 
 
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_an_arm_whose_joint_is_never_near_zero_is_checked_and_driven(turns: int) -> None:
+    """Poses of it were drawn from beyond its range to half a turn, which ended in a trace."""
+    model = ur_model("ur5e")
+    lower, upper = model.lower.copy(), model.upper.copy()
+    lower[0], upper[0] = turns * 2 * np.pi - 1.5, turns * 2 * np.pi + 1.5
+    model = replace(model, lower=lower, upper=upper)
+    drawn = model.random_positions(np.random.default_rng(0), 100)
+    assert ((drawn >= lower) & (drawn <= upper)).all()
+    assert ArmCollisionChecker(model, max_obstacles=1).self_distance(drawn[0]).distance < np.inf
+    q = default_path(model).template.positions
+    assert ((q >= lower) & (q <= upper)).all()
+
+
 @given(
     steps=st.lists(st.integers(1, 10**9), max_size=6),
     begin=st.integers(-(10**18), 2 * 10**18),

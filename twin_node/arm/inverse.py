@@ -32,7 +32,7 @@ def reach_down(model: ArmModel, point: NDArray[np.floating], start: NDArray[np.f
         angles = _descend(model, np.asarray(point, dtype=np.float64), seed)
         if np.abs(_tool_error(model, angles, point)).max() < _TOLERANCE_M:
             return angles
-        seed = generator.uniform(np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi))
+        seed = model.random_positions(generator, 1)[0]
     reachable = float(np.linalg.norm(model.origins[:, :3, 3], axis=1).sum())
     raise ArmError(
         f"point {np.round(point, 3).tolist()}: {model.name} cannot put its tool there pointing down (reach at most "

@@ -71,8 +71,7 @@ class SelfCollision:
         for one, other in self._model.never_meet:
             apart &= ~np.outer(np.array(self._names) == one, np.array(self._names) == other)
         first, second = np.nonzero(apart)
-        low, high = np.maximum(self._model.lower, -np.pi), np.minimum(self._model.upper, np.pi)
-        poses = np.random.default_rng(0).uniform(low, high, (_SAMPLES, self._model.joints))
+        poses = self._model.random_positions(np.random.default_rng(0), _SAMPLES)
         overlapping = (self._pair_gaps(poses, first, second) <= 0).mean(axis=0) > _ALWAYS
         apart[first[overlapping], second[overlapping]] = False
         return np.asarray(apart)

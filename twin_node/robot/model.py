@@ -154,6 +154,12 @@ class ArmModel:
         called = (tuple(prefix + joint for joint in self.joint_names) for prefix in prefixes)
         return [joints for joints in called if set(joints) <= set(names)]
 
+    def random_positions(self, generator: np.random.Generator, count: int) -> Float64:
+        """Angles [count, J] (rad) in the joints' ranges, at most half a turn from what these have nearest to zero."""
+        middle = np.clip(0.0, self.lower, self.upper)
+        low, high = np.maximum(self.lower, middle - np.pi), np.minimum(self.upper, middle + np.pi)
+        return generator.uniform(low, high, (count, self.joints))
+
     def ordered_positions(self, sample: JointSample) -> Float64:
         """Angles [J] of a sample in the model's own order; raises `RobotError` as `order` does."""
         return self.order(sample.names, sample.positions)
