@@ -201,6 +201,17 @@ def test_a_script_that_does_not_start_is_told_with_what_to_do(begins: Begins, sc
         link_of(DriverMode.SERVO, receive=receiving(1)).prepare_servo()
 
 
+def test_a_paused_script_that_does_not_begin_anew_is_none_that_runs_here(begins: Begins) -> None:
+    """The next acknowledgement asked the interface that had been given up: the driver's process ended in a trace."""
+    begins(RuntimeError("ur_rtde: Failed to start control script, before timeout of 5 seconds"))
+    link = link_of(DriverMode.SERVO, receive=receiving(4), control=Script(runs=False))
+    with pytest.raises(ArmError, match="control script: it does not start; look at the pendant"):
+        link.prepare_servo()
+    assert not link.servo(START)
+    with pytest.raises(ArmError, match="found one that runs or is paused; stop it on the pendant, then acknowledge"):
+        link.prepare_servo()
+
+
 def test_servo_mode_tells_a_controller_that_has_no_dashboard(begins: Begins) -> None:
     """PolyScope X: it was a connection that the controller had refused, by a timeout. Slider mode needs none."""
     begins(RuntimeError("Timeout connecting to UR dashboard server."))

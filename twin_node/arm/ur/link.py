@@ -172,7 +172,7 @@ class RtdeLink:
         meanwhile would be servoed back at once.
         """
         self._on_wait()
-        before, self._control = self._control, None
+        before, self._control, self._has_script = self._control, None, False
         try:
             if before is not None:
                 before.disconnect()
