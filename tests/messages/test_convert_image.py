@@ -262,6 +262,28 @@ def test_depth_that_is_none_is_refused(message: Message, words: str) -> None:
         depth_from_message(message)
 
 
+@pytest.mark.parametrize("form", ["16UC1; png", "16UC1; compressedDepth png", "rgb8; png compressed"])
+@pytest.mark.parametrize("more", [True, False])
+def test_a_png_whose_chunk_leads_beyond_its_end_is_not_begun_with(
+    monkeypatch: pytest.MonkeyPatch, form: str, more: bool
+) -> None:
+    """One flipped bit of a length: OpenCV took seconds, and up to 4 GB, before it found that so much was not there."""
+    is_depth = form.startswith("16UC1")
+    pixels = gradient()[..., 0].astype(np.uint16) * 100 if is_depth else gradient()
+    data = bytearray(cv2.imencode(".png", pixels)[1].tobytes())
+    at = data.index(b"IDAT") - 4
+    whole = np.frombuffer(bytes(12 if "compressedDepth" in form else 0) + bytes(data) + bytes(20), np.uint8)
+    data[at] |= 0x40 if more else 0
+    data[at + 2] += 0 if more else 0x10
+    message = replace(compressed_depth_image("cam", STAMP, np.ones((4, 4), np.float32)), format=form, data=whole)
+    read = depth_from_message if is_depth else rgb_from_message
+    assert read(message).shape[:2] == (48, 64), "what comes behind an image is none of it"
+    damaged = np.frombuffer(bytes(len(whole) - len(data) - 20) + bytes(data), np.uint8)
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("OpenCV was asked"))
+    with pytest.raises(MessageError, match="cannot be decoded as an image; the frame is damaged"):
+        read(replace(message, data=damaged))
+
+
 @pytest.mark.parametrize("make", [raw_image, compressed_image])
 @pytest.mark.parametrize(
     "rgb",

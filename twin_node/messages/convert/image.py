@@ -58,6 +58,10 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 MM_PER_M = 1000.0
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 PNG_SIGNATURE = b"\x89PNG"
+PNG_HEAD_BYTES = 8
+"""Before a PNG's first chunk."""
+PNG_CHUNK = struct.Struct(">I4s")
+"""Before a chunk's data: their length and its name. Behind them are four bytes of checksum."""
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 """ConfigHeader of compressed_depth_image_transport: compression format, depth quantisation A and B."""
@@ -289,7 +293,7 @@ def _decode_depth(message: Message, data: UInt8) -> NDArray[Any]:
 
 def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
     try:
-        decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) else None
+        decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) and not _is_cut_png(data) else None
     except cv2.error:  # what its head says of its size is beyond all images
         decoded = None
     if decoded is None:
@@ -298,6 +302,17 @@ def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
             "frame is damaged or the format unknown"
         )
     return decoded
+
+
+def _is_cut_png(data: UInt8) -> bool:
+    """Whether data are a PNG one of whose chunks goes on beyond their end: OpenCV takes as much memory first, 4 GB."""
+    if bytes(data[: len(PNG_SIGNATURE)]) != PNG_SIGNATURE:
+        return False
+    place, name = PNG_HEAD_BYTES, b""
+    while name != b"IEND" and place + PNG_CHUNK.size <= len(data):
+        length, name = PNG_CHUNK.unpack(bytes(data[place : place + PNG_CHUNK.size]))
+        place += PNG_CHUNK.size + length + 4
+    return place > len(data)
 
 
 def _rows(message: Message, dtype: np.dtype[Any], channels: int, rows_held: int | None = None) -> NDArray[Any]:
