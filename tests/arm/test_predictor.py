@@ -52,6 +52,17 @@ def test_an_arm_that_is_held_back_is_judged_where_it_stands_and_not_where_it_was
     assert found.stray_rad == pytest.approx(1.9)  # of what it may lag at most
 
 
+@pytest.mark.parametrize(
+    ("stamps", "rows", "said"), [([], 0, "at least one row"), ([5, 5], 2, "increasing stamps"), ([5, 6, 7], 2, "found")]
+)
+def test_a_path_that_is_none_is_refused_when_it_comes(stamps: list[int], rows: int, said: str) -> None:
+    """It took the place of the one before, and one without samples ended in a trace when the arm was looked for."""
+    found = predictor(planned())
+    with pytest.raises(ArmError, match=f"joint path: expected .*{said}"):
+        found.take_path(JointPath(MODEL.joint_names, NOW + np.array(stamps, np.int64), np.zeros((rows, 6))))
+    np.testing.assert_allclose(pose_at(found, 1000), READY + TURNING)
+
+
 def test_a_path_that_was_left_once_is_not_come_back_to() -> None:
     """An arm that comes by where its path would have it by now may be on its way anywhere."""
     found = predictor(planned(), joints(READY, 0 * TURNING, 500))

@@ -97,10 +97,11 @@ class ArmPredictor:
         return self._jump_rad if is_lately else None
 
     def take_path(self, path: JointPath) -> None:
-        """A new path; raises `RobotError` or `ArmError` as `take_joints` does, and for an angle that is not finite."""
+        """A new path; raises `RobotError` or `ArmError` as `take_joints` does, and `ArmError` as `sample_path` does."""
         self._refuse_two(path.names)
-        positions = self._model.order(path.names, path.positions)
-        self._path = JointPath(self._model.joint_names, path.stamps, positions)
+        own = JointPath(self._model.joint_names, path.stamps, self._model.order(path.names, path.positions))
+        sample_path(own, own.stamps[:1])
+        self._path = own
         self._is_held = False
         self._stray_rad = None
 
