@@ -330,7 +330,7 @@ def test_wrong_trajectories_are_refused(ur5e_checker: ArmCollisionChecker) -> No
         Attachment("bad", np.zeros((1, 2, 3)), np.zeros(1))
 
 
-@pytest.mark.parametrize("name", ["kinds", "shapes", "valid_from", "valid_to", "velocities"])
+@pytest.mark.parametrize("name", ["kinds", "shapes", "valid_from", "valid_to", "velocities", "bounds"])
 def test_columns_of_another_length_are_refused(ur5e_checker: ArmCollisionChecker, name: str) -> None:
     placed = random_obstacles(5, 0)
     with pytest.raises(ArmError, match=f"obstacles: expected 5 .*{name}.*found 4"):

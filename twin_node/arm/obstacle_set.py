@@ -190,6 +190,8 @@ def _refuse_wrong(obstacles: Obstacles) -> None:
         ("shapes", obstacles.shapes),
         ("valid_from", obstacles.valid_from),
         ("valid_to", obstacles.valid_to),
+        ("bounds", obstacles.bounds),
+        ("experts", obstacles.ids if obstacles.experts is None else obstacles.experts),
     ):
         if np.shape(column) != (count,):
             raise ArmError(
