@@ -13,7 +13,7 @@ from fake_link import START
 
 from twin_node.arm.errors import ArmError
 from twin_node.arm.ur import DriverMode, UrParameters
-from twin_node.arm.ur.link import RtdeLink, load_ur_rtde
+from twin_node.arm.ur.link import RtdeLink, ask_dashboard, load_ur_rtde
 
 
 def link_of(mode: DriverMode = DriverMode.SLIDER, **interfaces: object) -> RtdeLink:
@@ -217,6 +217,33 @@ def test_servo_mode_tells_a_controller_that_has_no_dashboard(begins: Begins) -> 
     begins(RuntimeError("Timeout connecting to UR dashboard server."))
     with pytest.raises(ArmError, match=r"servo mode needs the dashboard on port 29999.*PolyScope X.*in slider mode"):
         link_of(DriverMode.SERVO, receive=receiving(1)).prepare_servo()
+
+
+def test_what_chats_on_the_dashboards_port_is_not_listened_to_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every word of it is in time for itself: the driver was kept from its arm for as long as they came."""
+    words, now_s = iter([b"not a dashboard "] * 100), [0.0]
+
+    class Chat:
+        def __enter__(self) -> Chat:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            """Nothing to close."""
+
+        def sendall(self, _: bytes) -> None:
+            """Whatever is asked."""
+
+        def settimeout(self, seconds: float) -> None:
+            assert seconds > 0
+
+        def recv(self, _: int) -> bytes:
+            now_s[0] += 0.01
+            return next(words)
+
+    monkeypatch.setattr("socket.create_connection", lambda *_, **__: Chat())
+    monkeypatch.setattr("twin_node.arm.ur.link.time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    assert ask_dashboard("10.0.0.2", "play", 0.3) == ""
+    assert now_s[0] == pytest.approx(0.3, abs=0.02)
 
 
 def test_the_lost_connection_of_a_control_script_is_told() -> None:

@@ -264,8 +264,8 @@ def ask_dashboard(robot: str, order: str, longest_s: float = _DASHBOARD_S) -> st
     heard = b""
     with connection, contextlib.suppress(OSError):
         connection.sendall(f"{order}\n".encode())
-        while heard.count(b"\n") < 2:  # the first line is its greeting
-            connection.settimeout(max(until - time.monotonic(), 1e-3))
+        while heard.count(b"\n") < 2 and (left_s := until - time.monotonic()) > 0:  # the first line is its greeting
+            connection.settimeout(left_s)
             more = connection.recv(4096)
             if not more:
                 break
