@@ -143,3 +143,18 @@ def test_an_arms_file_may_name_any_encoding(tmp_path: Path, encoding: str) -> No
     text = ROS_URDF.replace('<mesh filename="{mesh}"/>', '<box size="0.1 0.1 0.4"/>').strip()
     (tmp_path / "arm.urdf").write_text(f'<?xml version="1.0" encoding="{encoding}"?>\n{text}')
     assert load_arm(tmp_path / "arm.urdf").max_velocity.tolist() == [2.0, 15.0]
+
+
+@pytest.mark.parametrize(
+    ("sound", "wrong", "what"),
+    [
+        ('<box size="0.1 0.1 0.4"/>', '<box size="0.1 0.1 inf"/>', "geom_size"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><origin xyz="nan 0 0"/>', "body_pos"),
+    ],
+)
+def test_a_file_with_numbers_that_are_none_is_refused(tmp_path: Path, sound: str, wrong: str, what: str) -> None:
+    """As an expression of xacro's may come out: fitting a shape to it ended in a trace of SciPy's or NumPy's."""
+    text = ROS_URDF.replace('<mesh filename="{mesh}"/>', '<box size="0.1 0.1 0.4"/>')
+    (tmp_path / "arm.urdf").write_text(text.replace(sound, wrong))
+    with pytest.raises(RobotError, match=f"arm.urdf: expected finite numbers, found others as {what}"):
+        load_arm(tmp_path / "arm.urdf")

@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import mujoco
+import numpy as np
 
 from twin_node.robot.model import RobotError
 
@@ -24,7 +25,7 @@ def compiled(path: str | Path) -> Any:
 
     Meshes of a URDF may lie in ROS packages (`package://`): above the file, or where AMENT_PREFIX_PATH or
     ROS_PACKAGE_PATH lead. Masses and inertias may be missing or impossible. Raises `RobotError` for a file that MuJoCo
-    does not read, one that xacro has still to expand, and a package that is not found.
+    does not read or whose numbers are not finite, one that xacro has still to expand, and a package that is not found.
     """
     try:
         content = _COMMENT.sub(b"", Path(path).read_bytes())
@@ -37,10 +38,20 @@ def compiled(path: str | Path) -> Any:
         spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS, _LEAST_INERTIA
         for mesh in spec.meshes:
             mesh.file = _found(path, mesh.file)
-        return spec.compile()
+        engine = spec.compile()
     except (ValueError, OSError) as error:
         reason = " ".join(str(error).split())
         raise RobotError(f"{path}: expected an arm as MJCF or URDF, MuJoCo says: {reason}; correct the file") from error
+    _refuse_unfinite(path, engine)
+    return engine
+
+
+def _refuse_unfinite(path: str | Path, engine: Any) -> None:
+    """NaN and infinity, which MuJoCo reads and warns of."""
+    joints, geoms = ("jnt_pos", "jnt_axis", "jnt_range", "qpos0"), ("geom_pos", "geom_quat", "geom_size")
+    for what in ("body_pos", "body_quat", *joints, *geoms):
+        if not np.isfinite(getattr(engine, what)).all():
+            raise RobotError(f"{path}: expected finite numbers, found others as {what} of MuJoCo's; correct the file")
 
 
 def _refuse_xacro(path: str | Path, content: bytes) -> None:
