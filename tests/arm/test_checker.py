@@ -317,6 +317,15 @@ def test_wrong_obstacles_are_refused_and_the_old_ones_stay(ur5e_checker: ArmColl
     assert ur5e_checker.distance(READY).distance == before
 
 
+def test_a_part_that_is_refused_is_not_carried() -> None:
+    """It was kept all the same, and no other could be taken up or set down after it."""
+    checker = ArmCollisionChecker("ur5e", max_obstacles=1)
+    with pytest.raises(RobotError, match="expected link wrist_3_link in metres"):
+        checker.attach(Attachment("millimetres", np.array([[[0, 0, 0], [0, 0, 120.0]]]), np.array([30.0])))
+    checker.attach(Attachment("metres", np.array([[[0, 0, 0], [0, 0, 0.12]]]), np.array([0.03])))
+    assert checker.capsule_names[-2:] == ("wrist_3_link", "metres")
+
+
 def test_wrong_trajectories_are_refused(ur5e_checker: ArmCollisionChecker) -> None:
     with pytest.raises(RobotError, match="expected 6 angles"):
         ur5e_checker.distance(np.zeros(5))

@@ -110,9 +110,8 @@ class ArmCollisionChecker:
         self.bare_model = model if isinstance(model, ArmModel) else arm_model(model)
         self._allowed = tuple(allowed)
         self._max_obstacles = max_obstacles
-        self._attachments: dict[str, Attachment] = {} if tool is None else {tool.name: tool}
         self._obstacles = ObstacleSet.empty()
-        self._rebuild()
+        self._rebuild({} if tool is None else {tool.name: tool})
 
     @property
     def model(self) -> ArmModel:
@@ -130,17 +129,18 @@ class ArmCollisionChecker:
         return self._obstacles
 
     def attach(self, part: Attachment) -> None:
-        """Adds a part to what the arm carries, in place of one of the same name; rebuilds the scene."""
-        self._attachments[part.name] = part
-        self._rebuild()
+        """Adds a part to what the arm carries, in place of one of the same name; rebuilds the scene.
+
+        Raises `RobotError` for a part in millimetres; the arm then carries what it did.
+        """
+        self._rebuild({**self._attachments, part.name: part})
 
     def detach(self, name: str) -> None:
         """Takes an attachment off; raises `ArmError` where there is none of that name."""
         if name not in self._attachments:
             held = ", ".join(self._attachments) or "nothing"
             raise ArmError(f"attachment {name}: expected one that is attached, found {held}; check the name")
-        del self._attachments[name]
-        self._rebuild()
+        self._rebuild({held: part for held, part in self._attachments.items() if held != name})
 
     def update(self, obstacles: Obstacles) -> None:
         """Takes the place of all obstacles given before.
@@ -342,12 +342,13 @@ class ArmCollisionChecker:
         rotations = shapes.rotations[rows] if shapes.any_turned else None
         return box_distances(ends, radii, shapes.centers[rows], rotations, shapes.half[rows])
 
-    def _rebuild(self) -> None:
+    def _rebuild(self, attachments: dict[str, Attachment]) -> None:
         model = self.bare_model
         names = [self.bare_model.link_names[link] for link in self.bare_model.capsules.links]
-        for part in self._attachments.values():
+        for part in attachments.values():
             model = model.carrying(part.ends, part.radii)
             names += [part.name] * len(part.radii)
+        self._attachments = attachments
         self._model = model
         self._names = tuple(names)
         self._self_collision = SelfCollision(self._model, self._names)
