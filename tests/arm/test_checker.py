@@ -101,6 +101,18 @@ def test_scenes_of_one_arm_are_placed_apart() -> None:
     assert not np.array_equal(one.data.qpos, other.data.qpos)
 
 
+def test_viewers_show_the_arm_and_the_obstacles_alone() -> None:
+    """The rest of the pool stood about the arm's foot: 2046 spheres and boxes of 20 cm."""
+    scene = CollisionScene(ur_model("ur5e"), 30)
+    for things in ([Thing((1.0, 0.0, 0.5)), Thing((1.0, 0.0, 0.8), shape=ObstacleShape.BOX)], [Thing((1.0, 0.0, 0.5))]):
+        scene.place(obstacles(*things))
+        scene.pose(READY)
+        shown = mujoco.MjvScene(scene.model, maxgeom=200)
+        view, camera, everything = mujoco.MjvOption(), mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(scene.model, scene.data, view, None, camera, everything, shown)
+        assert shown.ngeom == len(ur_model("ur5e").capsules) + len(things)
+
+
 def test_obstacles_never_meet_each_other_and_the_arm_meets_them() -> None:
     scene = CollisionScene(ur_model("ur5e"), 3)
     tool = tuple(forward_kinematics(ur_model("ur5e"), READY)[-1, :3, 3])

@@ -20,6 +20,8 @@ _ARENA_BYTES_PER_OBSTACLE = 64 << 10
 """Memory for MuJoCo's broad phase and contacts: the default arena overflows at 2000 spheres, this never came near."""
 _FAR_M = 1e3
 """Distances are measured up to here, m."""
+_COLOUR, _OPACITY = (0.9, 0.4, 0.1), 0.4
+"""Of obstacles (sRGB, 0 to 1)."""
 
 
 @lru_cache(maxsize=8)
@@ -31,7 +33,7 @@ def _compiled(mjcf: str, capacity: int) -> Any:
     for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX):
         for _ in range(capacity):
             body = spec.worldbody.add_body(mocap=True)
-            body.add_geom(type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=1, rgba=[0.9, 0.4, 0.1, 0.4])
+            body.add_geom(type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=1, rgba=[*_COLOUR, 0.0])
     model = spec.compile()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its boxes are those of compile time
     return model
@@ -66,7 +68,7 @@ class CollisionScene:
         self._segment = np.zeros(6)
 
     def place(self, obstacles: Obstacles) -> None:
-        """Puts the pool where the obstacles are; what is left over takes part in nothing.
+        """Puts the pool where the obstacles are; what is left over takes part in nothing, and is not seen.
 
         Raises `ArmError` for more spheres or boxes than the capacity.
         """
@@ -84,6 +86,8 @@ class CollisionScene:
         self.model.geom_aabb[self._obstacle_geoms] = np.concatenate([np.zeros_like(half), half], axis=1)
         self.model.geom_conaffinity[self._pool] = 0
         self.model.geom_conaffinity[self._obstacle_geoms] = 1
+        self.model.geom_rgba[self._pool, 3] = 0.0
+        self.model.geom_rgba[self._obstacle_geoms, 3] = _OPACITY
 
     def pose(self, q: NDArray[np.floating]) -> None:
         """Moves the arm to joint angles [J] (rad), and everything else to where it was placed."""
