@@ -171,6 +171,18 @@ def test_a_slider_that_somebody_else_holds_halts() -> None:
     assert bench.report.reason == "speed slider set to 30% reads 100%: somebody else moves it"
 
 
+def test_a_slider_that_is_held_above_what_it_was_set_to_is_set_back_every_20_ms() -> None:
+    bench = Bench()
+    bench.fraction = 0.3
+    bench.run(320)
+    bench.link.is_obedient = False
+    bench.link.tell(speed_slider=1.0)
+    bench.run(20)
+    before = len(bench.link.speeds)
+    assert bench.run(60).state is DriverState.READY
+    assert bench.link.speeds[before:] == [0.3] * 3
+
+
 def test_a_slider_that_is_late_now_and_then_is_obedient() -> None:
     """Times of lateness do not add up to that of a slider which somebody else holds."""
     bench = Bench()

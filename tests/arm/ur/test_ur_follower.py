@@ -55,7 +55,7 @@ def test_the_future_is_told_at_the_paths_own_speed_even_when_slowed() -> None:
     for _ in range(200):
         follower.advance(0.1, PERIOD_S)
     ahead = follower.ahead(7_000_000_000)
-    assert ahead.stamps[0] == 7_000_000_000
+    np.testing.assert_array_equal(ahead.stamps, 7_000_000_000 + 10_000_000 * np.arange(21))
     np.testing.assert_allclose(ahead.positions[0], follower.q, atol=1e-3)  # 0.1 s behind at a tenth of the speed
     begun = follower.q
     for _ in range(50):
