@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance, Sweep
 from twin_node.arm.course import ArmMotion, Underway
@@ -70,8 +71,7 @@ def decide(
     closest = checker.closest(sweep.at(slice(len(told))), told)
     seconds = _seconds(way)
     steps = _steps(sweep)
-    poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
-    picked = np.unique(np.linspace(0, len(seconds) - 1, poses).round().astype(np.int64))
+    picked = _picked(steps)
     speed = float((steps / np.diff(seconds)).max(initial=0.0))
     pairs = checker.approaches(sweep.at(picked), _reach(found, motion, law, speed))
     closing = _closing(pairs, seconds[picked])
@@ -185,6 +185,16 @@ def _steps(sweep: Sweep) -> Float64:
     way = np.diff(sweep.placed.ends, axis=0)
     steps: Float64 = np.sqrt(np.einsum("...i,...i->...", way, way).max(axis=(1, 2)))
     return steps
+
+
+def _picked(steps: Float64) -> NDArray[np.int64]:
+    """Rows of the poses from which closing speeds are taken, of a way whose steps [T - 1] are so long, m."""
+    poses = max(_POSES, int(np.ceil(steps.sum() / _STRIDE_M)) + 1)
+    rows = np.unique(np.linspace(0, len(steps), poses).round().astype(np.int64))
+    gone = np.append(0.0, steps.cumsum())
+    while len(far := np.flatnonzero((np.diff(gone[rows]) > _STRIDE_M) & (np.diff(rows) > 1))):
+        rows = np.sort(np.append(rows, (rows[far] + rows[far + 1]) // 2))  # it is faster there than on the whole
+    return rows
 
 
 def _reach(found: Hazards, motion: ArmMotion, law: SeparationParameters, fastest: float) -> Float64:
