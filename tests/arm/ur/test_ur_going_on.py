@@ -150,6 +150,14 @@ def test_play_is_pressed_where_the_drivers_own_lateness_has_paused_the_program(h
     assert bench.link.plays == (1 if held_up_ms > 100 else 0)
 
 
+def test_a_driver_that_was_held_up_does_not_halt_for_it_while_the_program_runs() -> None:
+    bench = Bench(plays=True, resumes=True)
+    bench.run(320)
+    bench.now += 152 * MS
+    assert bench.run(12).state is DriverState.READY
+    assert (bench.run(1000).state, bench.link.plays) == (DriverState.READY, 0)
+
+
 @pytest.mark.parametrize("has_ended", [False, True])
 def test_play_is_not_pressed_for_a_program_that_somebody_paused_before_the_halt(has_ended: bool) -> None:
     bench = Bench(plays=True, resumes=True)

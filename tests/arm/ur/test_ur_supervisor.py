@@ -28,6 +28,7 @@ class Theatre:
     def __init__(self, *scripts: list[Says]) -> None:
         self.scripts = deque(scripts)
         self.now_s = 100.0
+        self.made = 0
         self.played: list[Played] = []
         self.is_over = threading.Event()
 
@@ -37,6 +38,7 @@ class Played:
 
     def __init__(self, theatre: Theatre) -> None:
         self._theatre = theatre
+        theatre.made += 1
         self.pid = 7
         self.begun_with: Halt | None = None
         self.orders: list[Any] = []
@@ -111,6 +113,11 @@ def test_a_driver_that_dies_at_work_leaves_a_halt_to_all_that_follow(play: Play,
     halts = [process.begun_with for process in theatre.played]
     expected = Halt("driver process ended by signal 9", interrupts=is_playing)
     assert halts == [None, expected, expected]
+
+
+def test_one_process_waits_in_reserve_however_often_its_driver_reports(play: Play) -> None:
+    theatre, _ = play([READY, READY, READY, DEATH], [READY, READY])
+    assert (len(theatre.played), theatre.made) == (2, 3)
 
 
 def test_a_driver_that_dies_halted_leaves_the_halt_that_it_had(play: Play) -> None:
