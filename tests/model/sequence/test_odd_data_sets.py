@@ -206,6 +206,24 @@ def test_names_that_are_stamps_go_by_their_order(copied: Copied) -> None:
         np.testing.assert_array_equal(view.rgb, one.views[1].rgb)
 
 
+@pytest.mark.parametrize("end", ["_{camera}", "_48x36", "_{camera}_48x36"])
+@pytest.mark.parametrize("frames", [None, 1, 3])
+def test_a_camera_or_a_size_behind_the_number_of_an_image_counts_nothing(
+    copied: Copied, end: str, frames: int | None
+) -> None:
+    """`0001_cam0.png` was said to be missing from the other cameras."""
+    folder = copied("colmap")
+    for camera in ("cam0", "cam1", "cam2"):
+        for image in images(folder, camera):
+            image.rename(image.with_stem(image.stem + end.format(camera=camera)))
+    assert read_folder(folder, ReadOptions(frames=frames)).steps == (frames or FRAMES)
+    for camera, missing in (("cam0", 1), ("cam1", 2), ("cam2", 1)):
+        images(folder, camera)[missing].unlink()
+    if frames != 1:
+        with pytest.raises(ModelError, match="none of cam0 with the number 1, which another camera has"):
+            read_folder(folder, ReadOptions(frames=frames))
+
+
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_more_images_than_memory_holds_are_refused_while_they_are_read(
     folders: dict[str, Path], name: str, monkeypatch: pytest.MonkeyPatch

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -51,9 +51,10 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         name = _camera_name(image)
         if name in files:
             raise ModelError(f"{folder}: expected one registered image per camera, found two of '{name}'; keep one")
-        files[name] = _files(folder, image)[: options.frames]
-    _check_times(folder, files)
-    found = (view for image in images for view in _read_camera(folder, files[_camera_name(image)], image, options))
+        files[name] = _files(folder, image)
+    _check_times(folder, files, options.frames)
+    taken = {name: own[: options.frames] for name, own in files.items()}
+    found = (view for image in images for view in _read_camera(folder, taken[_camera_name(image)], image, options))
     views = list(that_fit(str(folder), found))
     recording = Recording(str(folder), in_order(views), points=_points(model))
     return split(recording, options.hold_out or ())
@@ -105,12 +106,12 @@ def _files(folder: Path, image: Any) -> list[Path]:
     raise ModelError(f"{folder}: expected images of camera '{name}' in {looked}, found none")
 
 
-def _check_times(folder: Path, files: Mapping[str, list[Path]]) -> None:
-    """Raises `ModelError` where images of one place in the order are of different times.
+def _check_times(folder: Path, files: Mapping[str, list[Path]], frames: int | None) -> None:
+    """Raises `ModelError` where, of the first `frames` images, those of one place in the order are of different times.
 
     Names that count images tell which is missing; of others, such as stamps, there must be as many of every camera.
     """
-    numbers = {name: [_last_number(file) for file in own] for name, own in files.items()}
+    numbers = {name: _counts(own)[:frames] for name, own in files.items()}
     counted = sorted({number for own in numbers.values() for number in own})
     steps = np.diff(counted)
     every = int(np.gcd.reduce(steps)) if len(steps) else 1
@@ -122,15 +123,19 @@ def _check_times(folder: Path, files: Mapping[str, list[Path]]) -> None:
                 f"{folder}: expected images of the same numbers of every camera, found none of {name} with the number "
                 f"{missing[0]}, which another camera has; complete the data set"
             )
-    if len({len(own) for own in files.values()}) != 1:
-        found = ", ".join(f"{len(own)} of {name}" for name, own in sorted(files.items())[:6]) or "no registered image"
+    if len({len(own) for own in numbers.values()}) != 1:
+        found = ", ".join(f"{len(own)} of {name}" for name, own in sorted(numbers.items())[:6]) or "no registered image"
         raise ModelError(f"{folder}: expected as many images of every camera, found {found}; complete the data set")
 
 
-def _last_number(file: Path) -> int:
-    """The last number in an image's name, -1 for none."""
-    found = re.findall("[0-9]+", file.stem)
-    return int(found[-1]) if found else -1
+def _counts(files: Sequence[Path]) -> tuple[int, ...]:
+    """The last number in the names of a camera's images that is not the same in all of them; -1 each for none.
+
+    Behind it the name of the camera may stand, or a size.
+    """
+    numbers = ([int(number) for number in reversed(re.findall("[0-9]+", file.stem))] for file in files)
+    columns = zip(*numbers, strict=False)  # from the last; not all names need have as many
+    return next((column for column in columns if len(set(column)) > 1), (-1,) * len(files))
 
 
 def _read_camera(folder: Path, files: list[Path], image: Any, options: ReadOptions) -> Iterator[View]:
