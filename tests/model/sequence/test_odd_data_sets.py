@@ -224,6 +224,35 @@ def test_a_camera_or_a_size_behind_the_number_of_an_image_counts_nothing(
             read_folder(folder, ReadOptions(frames=frames))
 
 
+def write_videos(folder: Path, *videos: tuple[float, int]) -> None:
+    """A data set's videos with others in their place, of a rate, Hz, and a number of frames each."""
+    for index, (rate_hz, frames) in enumerate(videos):
+        path = folder / f"cam{index:02d}.mp4"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, (WIDTH, HEIGHT))
+        for _ in range(frames):
+            writer.write(np.full((HEIGHT, WIDTH, 3), 127, np.uint8))
+        writer.release()
+
+
+@pytest.mark.parametrize(
+    ("videos", "kept"),
+    [
+        (((30.0, 30), (25.0, 25), (30.0, 30)), [30, 25, 30]),
+        (((60.0, 40), (30.0, 20), (30.0, 15)), [30, 15, 15]),
+        (((30.0, 30), (29.97, 30), (30.0, 30)), [30, 30, 30]),
+        (((29.97, 28), (30.0, 30), (30.0, 30)), [28, 28, 28]),
+    ],
+)
+def test_videos_of_different_rates_are_taken_until_the_first_of_them_ends(
+    copied: Copied, videos: tuple[tuple[float, int], ...], kept: list[int]
+) -> None:
+    """The first video was cut to as many frames as the shortest has, and all others where that left it."""
+    folder = copied("neural_video")
+    write_videos(folder, *videos)
+    names = [view.camera.name for view in read_folder(folder, ReadOptions(hold_out=())).train]
+    assert [names.count(f"cam{index:02d}") for index in range(3)] == kept
+
+
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_more_images_than_memory_holds_are_refused_while_they_are_read(
     folders: dict[str, Path], name: str, monkeypatch: pytest.MonkeyPatch

@@ -1,12 +1,13 @@
 """Neural 3D Video (Li et al., CVPR 2022): `poses_bounds.npy` in LLFF's convention beside `cam00.mp4`, `cam01.mp4`, ...
 
-The first camera is held out unless told otherwise, as published. Stamps count frames at the videos' own rate from 0.
+The first camera is held out unless told otherwise, as published. Stamps count frames at the videos' own rate from 0;
+what comes after the first of the videos has ended is left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tokenize import TokenError
 
@@ -44,9 +45,8 @@ def read(folder: Path, options: ReadOptions) -> Recording:
         )
     found = (view for video, row in zip(videos, rows, strict=True) for view in _read_video(video, row, options))
     views = list(that_fit(str(folder), found))
-    shortest = min(sum(view.camera.name == video.stem for view in views) for video in videos)
-    last = sorted(view.stamp for view in views if view.camera.name == videos[0].stem)[shortest - 1]
-    recording = Recording(str(folder), in_order(view for view in views if view.stamp <= last))
+    end = min(_end([view.stamp for view in views if view.camera.name == video.stem]) for video in videos)
+    recording = Recording(str(folder), in_order(view for view in views if view.stamp <= end))
     return split(recording, (videos[0].stem,) if options.hold_out is None else options.hold_out)
 
 
@@ -61,6 +61,14 @@ def _load_poses(path: Path) -> Float64:
             f"{path}: expected finite numbers [cameras, 17], found {rows.dtype} {list(rows.shape)}; take it from LLFF"
         )
     return rows.astype(np.float64)
+
+
+def _end(stamps: Sequence[int]) -> float:
+    """Until when a video with frames at such stamps (rising, ns) shows anything: half a frame after its last.
+
+    Videos of one length whose rates differ a little end together so.
+    """
+    return stamps[-1] + (stamps[-1] - stamps[0]) / max(len(stamps) - 1, 1) / 2
 
 
 def _read_video(path: Path, row: Float64, options: ReadOptions) -> Iterator[View]:
