@@ -73,6 +73,20 @@ def test_points_are_where_the_images_show_their_movers(scene: MadeUp) -> None:
             assert inside.any() and changed[row[inside], column[inside]].mean() > 0.75  # the rest is outline
 
 
+def test_points_of_the_rod_lie_on_its_surface() -> None:
+    """They lay within it, by up to 24 mm."""
+    truth = make_up(dataclasses.replace(TINY, movers=("bending",))).truth
+    links, length, radius = 9, 0.05, 0.035
+    foot = np.array([-0.05, 0.35, 0.0])  # where it stands upright at first
+    points = truth.positions[0, truth.births == 0]
+    from_axis = np.linalg.norm(points[:, :2] - foot[:2], axis=1)
+    ends = foot[2] + length * np.arange(links + 1)
+    past = np.maximum(ends[:-1] - points[:, 2:], points[:, 2:] - ends[1:]).clip(0)  # of every link
+    to_surface = np.abs(np.hypot(from_axis[:, None], past) - radius).min(1)
+    assert len(points) > 50
+    np.testing.assert_allclose(to_surface, 0, atol=1e-9)
+
+
 def test_movers_move_as_their_names_say(scene: MadeUp) -> None:
     positions, movers = scene.truth.positions, np.array(scene.truth.movers)
     rigid = positions[:, movers == "rigid"]

@@ -211,10 +211,14 @@ def _surface_points(solid: Solid, random: np.random.Generator) -> Float64:
     if shape.form is Form.BOX:
         points: Float64 = direction / np.abs(direction / shape.half_extents).max(1, keepdims=True)
         return points
-    along = shape.half_extents[2] - shape.size[0]
-    points = shape.size[0] * direction
-    points[:, 2] += along * random.uniform(-1, 1, n)
-    return points
+    radius, middle = shape.size[0], np.zeros((n, 3))
+    along = shape.half_extents[2] - radius
+    inner = radius * direction
+    inner[:, 2] += along * random.uniform(-1, 1, n)
+    middle[:, 2] = inner[:, 2].clip(-along, along)
+    outward = inner - middle
+    on_surface: Float64 = middle + radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    return on_surface
 
 
 def _in_view(caster: RayCaster, scene: tuple[Solid, ...], points: Float64) -> Bool:
