@@ -59,7 +59,7 @@ def test_a_part_may_be_switched_off() -> None:
     ModelParameters(gaussians_per_pixel=10.0, most_gaussians=1, nodes=1, window=2)
 
 
-@pytest.mark.parametrize("device", ["banana", "cuda:99"])
+@pytest.mark.parametrize("device", ["banana", "cuda:99", "meta", "hpu", ""])
 def test_a_device_that_is_not_there_is_refused_by_name(device: str) -> None:
     with pytest.raises(ModelError, match=f"device: expected cpu or a CUDA device that is there, found '{device}'"):
         WindowModel(ModelParameters(device=device))
