@@ -153,7 +153,7 @@ def test_table_and_chart_name_every_method(bench: MethodsBench, tmp_path: Path) 
         (lambda r: dataclasses.replace(r, held_out=()), ("frozen",), "--hold-out"),
         (lambda r: r, ("frozen", "magic"), "magic"),
         (lambda r: dataclasses.replace(r, camera_moves=True), ("frozen",), "stand still"),
-        (lambda r: split(r, ("train_0", "train_1")), ("frozen",), "two or more cameras"),
+        (lambda r: split(r, ("train_0", "train_1")), ("frozen",), "found train_2 alone; hold out fewer"),
     ],
 )
 def test_unfit_data_is_refused(scene: MadeUp, spoil: Callable, names: tuple[str, ...], says: str) -> None:

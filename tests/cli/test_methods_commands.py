@@ -165,6 +165,18 @@ def test_wrong_training_input(
     assert not out.exists() and not list(tmp_path.glob("*.partial"))
 
 
+def test_wrong_options_are_told_before_any_image_is_read(
+    refused: Callable[..., str], checkpoint: Path, tmp_path: Path
+) -> None:
+    """Minutes later, of a long recording."""
+    out, gone = tmp_path / "out.safetensors", tmp_path / "gone"
+    assert "--method" in refused("train", gone, "-o", out, "--resume", checkpoint, "--method", "hash")
+    assert "no file" in refused("train", gone, "-o", out, "--resume", tmp_path / "none.safetensors")
+    for resumed in ((), ("--resume", checkpoint)):
+        assert "found 'cuda:99'" in refused("train", gone, "-o", out, "--device", "cuda:99", *resumed)
+    assert "found 'magic'" in refused("bench", "methods", gone, "--methods", "frozen,magic")
+
+
 def test_wrong_baking_input(
     refused: Callable[..., str], checkpoint: Path, cell_log: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -44,8 +44,10 @@ def add_methods(benches: Any) -> None:
 def _bench_methods(options: argparse.Namespace) -> None:
     from twin_node.bench.methods.chart import draw_chart, text
     from twin_node.bench.methods.protocol import QUICK, Budget
+    from twin_node.bench.methods.table import check_names
     from twin_node.bench.results_folder import prepared, save_text
 
+    check_names(_names(options))
     if options.out is not None:
         prepared(options.out)
     budget = QUICK if options.quick else Budget()

@@ -70,6 +70,7 @@ def _train(options: argparse.Namespace) -> None:
     from twin_node.nodes.topics import parse_remaps
 
     check_output(options.output, SUFFIX)
+    trainer_of = _trainer_of(options)
     hold_out = None if options.hold_out is None else tuple(options.hold_out)
     reading = ReadOptions(options.width, options.frames, hold_out)
     parameters = SynchronizerParameters(width=options.width)
@@ -78,7 +79,7 @@ def _train(options: argparse.Namespace) -> None:
         f"{options.data}: {len(recording.train)} images at {recording.steps} times to learn from, "
         f"{len(recording.held_out)} held out"
     )
-    trainer = _trainer(recording, options)
+    trainer = trainer_of(recording)
     with (
         _ended_between_steps() as ended_by_signal,
         tqdm(total=trainer.parameters.all_steps, initial=trainer.step, unit="step", disable=None) as bar,
@@ -126,14 +127,20 @@ def _ended_between_steps() -> Iterator[Callable[[], int | None]]:
         restore()
 
 
-def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
-    """A new trainer, or the one of `--resume`; what the command line leaves out stays as it is."""
+def _trainer_of(options: argparse.Namespace) -> Callable[[Recording], Trainer]:
+    """What gives a recording a new trainer, or the one of `--resume`; what the options leave out stays as it is.
+
+    Refuses what is wrong with any of them at once: images may take minutes to be read.
+    """
+    from twin_node.model.devices import usable_device
     from twin_node.model.sequence import Trainer, TrainParameters, load_checkpoint
 
     if options.resume is not None:
         why = f"expected without --resume, which goes on as {options.resume} began"
         refuse_given(options, ("method", "seed", "gaussians"), why)
-        return load_checkpoint(options.resume).resume(recording, options.steps, options.device)
+        checkpoint = load_checkpoint(options.resume)
+        usable_device(options.device or checkpoint.header.parameters.device)
+        return lambda recording: checkpoint.resume(recording, options.steps, options.device)
     parameters = with_given(
         TrainParameters(),
         method=options.method,
@@ -143,7 +150,8 @@ def _trainer(recording: Recording, options: argparse.Namespace) -> Trainer:
         most_gaussians=options.gaussians,
         start_gaussians=options.gaussians and min(TrainParameters.start_gaussians, options.gaussians),
     )
-    return Trainer(recording, parameters)
+    usable_device(parameters.device)
+    return lambda recording: Trainer(recording, parameters)
 
 
 def _report(trainer: Trainer, path: Path) -> None:

@@ -115,7 +115,8 @@ def run(
 
     Raises `BenchError` where nothing is held out, the cameras move or stand alone, or a method is not known.
     """
-    _check(recording, names)
+    check_names(names)
+    _check(recording)
     first: dict[str, Float32] = {}
     for view in recording.held_out:
         first.setdefault(view.camera.name, unit(view))
@@ -146,14 +147,23 @@ def _row(
     )
 
 
-def _check(recording: Recording, names: tuple[str, ...]) -> None:
+def check_names(names: tuple[str, ...]) -> None:
+    """Raises `BenchError` for a name that is not in `METHODS`."""
     for name in names:
         if name not in METHODS:
             raise BenchError(f"--methods: expected some of {', '.join(METHODS)}, found '{name}'")
+
+
+def _check(recording: Recording) -> None:
     if not recording.held_out:
         raise BenchError(f"{recording.name}: expected a held-out camera to score on; name one with --hold-out")
-    if len(recording.cameras) < 2 or recording.camera_moves:
+    if recording.camera_moves:
         raise BenchError(
             f"{recording.name}: expected two or more cameras that stand still, found {len(recording.cameras)} "
             f"with {len(recording.train)} images; use twin_node train for moving cameras"
+        )
+    if len(recording.cameras) < 2:
+        raise BenchError(
+            f"{recording.name}: expected two or more cameras beside those held out, found {recording.cameras[0].name} "
+            "alone; hold out fewer, or take a recording of more cameras"
         )
