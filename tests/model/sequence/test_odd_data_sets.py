@@ -116,6 +116,38 @@ def test_images_that_opencv_does_not_begin_to_read_are_named(copied: Copied, con
         read_folder(folder, ReadOptions())
 
 
+def jpeg(progressive: bool) -> bytes:
+    """An image of the scene that begins with a segment which holds a whole thumbnail, and a marker after fill bytes."""
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)]
+    rgb = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    whole, small = (cv2.imencode(".jpg", one, options)[1].tobytes() for one in (rgb, rgb[:8, :8].copy()))
+    segment = b"\xff\xff\xe1" + (2 + len(small)).to_bytes(2, "big") + small
+    return whole[:2] + segment + whole[2:]
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+def test_a_jpeg_that_is_cut_short_is_not_learnt_from(copied: Copied, progressive: bool) -> None:
+    """Of a copy that was broken off: OpenCV reads it, grey where it ends."""
+    folder, whole = copied("colmap"), jpeg(progressive)
+    path = folder / "images" / "cam1" / "0002.png"  # readers go by what a file holds, not by its name
+    for end in (b"", bytes(9), b"\xff\xd8\xff\xda"):  # cameras put more behind it
+        path.write_bytes(whole + end)
+        assert read_folder(folder, ReadOptions()).steps == FRAMES
+    for size in (len(whole) // 2, len(whole) - 30, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ModelError, match=r"0002\.png: expected a whole image, found a JPEG that is cut short"):
+            read_folder(folder, ReadOptions())
+
+
+def test_an_image_that_is_not_there_is_told_once(copied: Copied, capfd: pytest.CaptureFixture[str]) -> None:
+    """OpenCV told of it, too, on the terminal."""
+    folder = copied("dnerf")
+    (folder / "train" / "r_001.png").unlink()
+    with pytest.raises(ModelError, match=r"r_001\.png: expected an image .* found no file"):
+        read_folder(folder, ReadOptions())
+    assert capfd.readouterr() == ("", "")
+
+
 def test_hidden_files_beside_images_are_none(copied: Copied) -> None:
     """As macOS leaves them beside what it copies."""
     folder = copied("colmap")
