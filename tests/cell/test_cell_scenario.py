@@ -148,6 +148,13 @@ def test_a_wrong_scenario_gives_one_line_that_says_what_is_wrong(tmp_path: Path,
     assert "\n" not in str(caught.value)
 
 
+def test_a_scenario_that_extends_itself_by_another_spelling_of_its_path_is_told(tmp_path: Path) -> None:
+    """It was read again and again, until its path was too long for any file."""
+    path = written(tmp_path, {"extends": f"../{tmp_path.name}/scenario", "cameras": [CAMERA]})
+    with pytest.raises(CellError, match="which extends it in turn"):
+        load_scenario(path)
+
+
 def test_a_seed_may_be_any_whole_number(tmp_path: Path) -> None:
     assert load_scenario(written(tmp_path, {"cameras": [CAMERA], "seed": 10**400})).seed == 10**400
 

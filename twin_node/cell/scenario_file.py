@@ -78,7 +78,7 @@ def _whole(path: Path, below: tuple[Path, ...] = ()) -> dict[str, object]:
     if "extends" not in content:
         return content
     base = _base(path, content.pop("extends"))
-    if base in (*below, path):
+    if any(base.samefile(one) for one in (*below, path)):
         raise CellError(f"{path}: extends '{base.stem}', which extends it in turn; take one of the two out")
     return {**_whole(base, (*below, path)), **content}
 
