@@ -47,6 +47,12 @@ def test_arguments_fill_values_of_their_own_type(small: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(("text", "rate"), [("5e-1", 0.5), ("1e2", 100.0), (".25", 0.25)])
+def test_a_number_may_have_an_exponent_without_a_point(small: Path, text: str, rate: float) -> None:
+    """YAML takes it for text, Python writes numbers so: `sim SCENARIO --duration 1e-5` was not to be a number."""
+    assert read_launch_file(small, ["log:=a", f"rate:={text}"]).sections["player"]["rate"] == rate
+
+
 def test_conditions_choose_processes(small: Path) -> None:
     plan = read_launch_file(small, ["log:=a", "who:=nobody", "loop:=true"])
     assert [(p.name, p.place) for p in plan.processes] == [("play", 0), ("write", 2)]
@@ -74,6 +80,8 @@ def test_an_argument_that_is_true_or_false_is_compared_as_yaml_has_it(small: Pat
         ([], [], r"needs log:=VALUE \(log: what to play\)"),
         (["log:=a", "rat:=2"], [], "unknown argument 'rat'; did you mean 'rate'"),
         (["log:=a", "rate:=fast"], [], "rate:=fast: expected a number"),
+        (["log:=a", "rate:=nan"], [], "rate:=nan: expected a number"),
+        (["log:=a", f"rate:={'9' * 400}"], [], "9: expected a number"),
         (["log=a"], [], "expected NAME:=VALUE"),
         (["log:=a", "how:=slowly"], [], "small.yaml: argument how: expected one of fast, slow, found 'slowly'"),
         (["log:=a"], ["rate:=2"], "expected NODE.KEY:=VALUE"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -116,11 +117,22 @@ def _typed(argument: Argument, text: str, path: Path) -> Any:
     if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
         return str(Path(text).expanduser()) if text.startswith("~/") else text
     value = parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+    if kind is float:
+        value = _as_float(value)
     if type(value) is not kind:
         raise GraphError(f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     return value
+
+
+def _as_float(value: Any) -> Any:
+    """A number that YAML takes for a whole one, or for text (`1e-3`), as one with a fraction; all else as it is."""
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        return value
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return value
+    return number if math.isfinite(number) else value
 
 
 def parsed(text: str, expected: str) -> Any:
