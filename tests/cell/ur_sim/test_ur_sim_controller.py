@@ -237,6 +237,7 @@ def test_commands_outside_the_stand_in_end_the_program_instead_of_pretending() -
         (Command.SET_WATCHDOG, 1000.0, "watchdog: expected 0 to 500 Hz, found 1000"),
         (Command.SET_WATCHDOG, np.nan, "input_double_register_0: expected a finite number, found nan"),
         (Command.SPEEDJ, np.inf, "input_double_register_0: expected a finite number, found inf"),
+        (Command.GET_FORWARD_KINEMATICS_ARGS, 1e300, "joint values: expected finite angles of at most 1e+06 rad"),
     ],
 )
 def test_what_no_controller_can_do_ends_the_program_alone(number: Command, first: float, said: str) -> None:

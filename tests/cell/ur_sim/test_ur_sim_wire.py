@@ -61,6 +61,14 @@ def test_a_package_of_five_joints_is_short_by_one_value_per_vector() -> None:
     assert len(recipe.pack_short(outputs)) == len(recipe.pack(outputs)) - 2 * 8
 
 
+def test_a_recipe_holds_as_much_as_a_package_and_no_more() -> None:
+    """A longer one ended the controller with the first package that was due."""
+    recipe = OutputRecipe(["target_q"] * 1365, 125.0)
+    assert len(encode(Kind.DATA_PACKAGE, recipe.pack(Outputs(lambda offset: offset)))) == 65524
+    with pytest.raises(ValueError, match="65572 bytes"):
+        OutputRecipe(["target_q"] * 1366, 125.0)
+
+
 def test_variables_that_do_not_exist_are_named() -> None:
     recipe = OutputRecipe(["timestamp", "no_such_thing"], 125.0)
     assert recipe.types == ("DOUBLE", "NOT_FOUND")

@@ -7,11 +7,11 @@ from enum import IntEnum
 
 import numpy as np
 
-from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.controller import PERIOD_S, Controller
 from twin_node.cell.ur_sim.motions import Hold, Motion, MoveJ, ServoJ, SpeedJ
 from twin_node.cell.ur_sim.simulated_arm import pose_in_base
 from twin_node.cell.ur_sim.watchdogs import Watchdog, WatchdogAction
+from twin_node.errors import TwinError
 from twin_node.robot import forward_kinematics
 
 _READY, _DONE = 1, 2
@@ -118,7 +118,7 @@ class ControlScript:
             return None
         try:
             return handler(controller)
-        except CellError as error:  # what a client asked for is the end of its program, and not of the controller
+        except TwinError as error:  # what a client asked for is the end of its program, and not of the controller
             controller.stop(str(error))
             return None
 

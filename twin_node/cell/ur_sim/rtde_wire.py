@@ -13,6 +13,8 @@ from twin_node.cell.ur_sim.registers import Outputs, Value, output_reader
 from twin_node.cell.ur_sim.rtde_types import INPUTS, NOT_FOUND, OUTPUTS, RtdeType
 
 _HEADER = struct.Struct(">HB")
+_LONGEST = 0xFFFF
+"""Bytes of a package, header and all: its size has two."""
 
 
 class Kind(IntEnum):
@@ -73,6 +75,7 @@ class OutputRecipe:
     """What one client is sent, and how often."""
 
     def __init__(self, names: Sequence[str], rate_hz: float) -> None:
+        """Raises `ValueError` for more than a package can hold."""
         self.rate_hz = rate_hz
         self.types = tuple(OUTPUTS[name].label if name in OUTPUTS else NOT_FOUND for name in names)
         self.is_complete = NOT_FOUND not in self.types
@@ -81,6 +84,9 @@ class OutputRecipe:
         self._readers: list[Callable[[Outputs], Value]] = [output_reader(name) for name in known]
         self._kinds = [OUTPUTS[name] for name in known]
         self._layout = struct.Struct(">B" + "".join(kind.code for kind in self._kinds))
+        size = _HEADER.size + self._layout.size
+        if size > _LONGEST:
+            raise ValueError(f"recipe whose packages have {size} bytes")
         codes = "B" + "".join(kind.code[-1] * kind.count for kind in self._kinds)
         self._are_whole = [code != "d" for code in codes]
 
