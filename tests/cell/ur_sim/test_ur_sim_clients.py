@@ -267,6 +267,7 @@ def test_the_help_says_what_it_does_not_do(capsys: pytest.CaptureFixture[str]) -
         (["--fault", "frieze"], "expected one of"),
         (["--fault", "freeze@-1"], "0 or more"),
         (["--fault", "freeze@soon"], "LINE@SECONDS"),
+        (["--admin-port", "30004"], "--admin-port 30004: expected none of the controller's own ports"),
         (["--watchdog-variable", "heart"], "RTDE input"),
         (["--watchdog-hz", "1000"], "500 Hz"),
         (["--kinematics", "no_such_file.yaml"], "calibration file"),

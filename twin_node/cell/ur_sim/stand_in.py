@@ -62,7 +62,7 @@ class StandInParameters:
     controller: ControllerParameters = field(default_factory=ControllerParameters)
 
     def __post_init__(self) -> None:
-        """Raises `CellError` for an address that other machines can reach."""
+        """Raises `CellError` for an address that others can reach, and for an admin port of the controller's own."""
         try:
             is_loopback = self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
         except ValueError:
@@ -71,6 +71,12 @@ class StandInParameters:
             raise CellError(
                 f"--host {self.host}: expected a loopback address such as 127.0.0.1 or 127.0.0.2, because the stand-in "
                 "obeys whoever connects; to reach it from elsewhere, forward its ports yourself"
+            )
+        own = (DASHBOARD_PORT, *SCRIPT_PORTS, RTDE_PORT)
+        if self.admin_port in own:
+            raise CellError(
+                f"--admin-port {self.admin_port}: expected none of the controller's own ports "
+                f"({', '.join(map(str, own))}); choose another, such as {ADMIN_PORT}"
             )
 
 
