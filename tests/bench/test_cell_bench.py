@@ -166,6 +166,25 @@ def test_scenarios_of_one_name_are_refused(short: FilePath, capsys: pytest.Captu
     assert "mine.yaml" in told and "short.yaml" in told and "'short'" in told
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [
+        "furniture: [{name: block, parts: [{size: [2, 2, 1], position: [0.5, 0, 0.3]}]}]",
+        "duration_s: 0.07\nsensing: {rate_hz: 30.0}",
+        "duration_s: 0.005\nsensing: {rate_hz: 500.0, jitter_ms: 0.1}",
+    ],
+    ids=["in its way", "brief", "no step of the loop"],
+)
+def test_an_arm_that_stands_though_nobody_is_there_is_told(
+    short: FilePath, refused: Callable[..., str], changed: str
+) -> None:
+    """Its work is a share of nothing: a division by zero."""
+    still = short.with_name("still.yaml")
+    still.write_text(f"extends: short\nname: still\n{changed}\n")
+    told = refused("bench", "cell", still, "--seeds", "1", "--processes", "1")
+    assert "scenario still: expected an arm that works where nobody is, found that it stands for all" in told
+
+
 def test_seeds_are_run_in_slices(short: FilePath) -> None:
     short.write_text(SHORT.replace("duration_s: 1.6", "duration_s: 0.3"))
     parameters = cell.CellBenchParameters((str(short),), seeds=2, first_seed=3, processes=1)

@@ -111,8 +111,12 @@ class PolicyFigures:
 
 
 def run_case(job: Job) -> CaseResult:
-    """All policies in one scenario under one seed; `ours` is the twin, or else the law with perfect perception."""
+    """All policies in one scenario under one seed; `ours` is the twin, or else the law with perfect perception.
+
+    Raises `BenchError` where the arm does not work even without people.
+    """
     parameters = job.parameters
+    whole = _unobstructed_s(job.scenario, parameters)
     scenario = load_scenario(job.scenario).with_seed(job.seed)
     case, timing = CellCase(scenario, parameters.latency_ms, parameters.loop), None
     twins: dict[str, Outcome] = {}
@@ -132,15 +136,24 @@ def run_case(job: Job) -> CaseResult:
         policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not twins) for policy in POLICIES
     }
     outcomes = {OURS: perfect[PERFECT.name], **twins, **perfect}
-    whole = _unobstructed_s(job.scenario, parameters)
     work = {name: outcome.progress_s / whole for name, outcome in outcomes.items()}
     return CaseResult(scenario.name, job.seed, outcomes, work, timing)
 
 
 @lru_cache
 def _unobstructed_s(scenario: str, parameters: CellBenchParameters) -> float:
-    """Program time that the arm goes through beside the furniture alone, s; the same for every seed."""
-    return CellCase(load_scenario(scenario), parameters.latency_ms, parameters.loop).run_unobstructed().progress_s
+    """Program time that the arm goes through beside the furniture alone, s; the same for every seed.
+
+    Raises `BenchError` where it goes through none.
+    """
+    case = CellCase(load_scenario(scenario), parameters.latency_ms, parameters.loop)
+    whole = case.run_unobstructed().progress_s
+    if whole == 0:
+        raise BenchError(
+            f"scenario {case.scenario.name}: expected an arm that works where nobody is, found that it stands for all "
+            f"{case.scenario.duration_s:g} s; keep furniture away from its path, or give it a longer duration_s"
+        )
+    return whole
 
 
 def run(

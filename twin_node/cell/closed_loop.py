@@ -69,7 +69,7 @@ class LoopRecord:
     @property
     def progress_s(self) -> float:
         """Program time gone through, s."""
-        return float(self.phases_ns[-1]) * 1e-9
+        return float(self.phases_ns[-1]) * 1e-9 if len(self.phases_ns) else 0.0
 
 
 def run_loop(
