@@ -18,6 +18,7 @@ from twin_node.cell.people import HAND_RADIUS, LEG_RADIUS
 from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.shapes import Form
 from twin_node.cell.world import World
+from twin_node.scene import Float64
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -87,6 +88,20 @@ def test_a_motion_begins_and_ends_where_it_is_asked_to(from_s: float) -> None:
         there = whole.ends(from_s + np.clip(t, 0.0, 1.01)) + shift
         np.testing.assert_allclose(body.ends(t), there, atol=1e-9)
     np.testing.assert_allclose(body.ends(0.0)[0, 0, :2], BvhMotion(file).position[:2], atol=1e-9)
+
+
+def test_a_motion_is_turned_about_z_and_goes_at_its_pace() -> None:
+    """At no yaw who walks goes along x, at 90 degrees along y."""
+    file = str(resources.find("sim/walk.bvh"))
+
+    def hips(motion: BvhMotion, t: float) -> Float64:
+        place: Float64 = RecordedBody(Person(), motion).ends(t)[0, 0]
+        return place
+
+    ways = [hips(BvhMotion(file, yaw_deg=yaw), 2.0) - hips(BvhMotion(file, yaw_deg=yaw), 1.0) for yaw in (0, 90)]
+    assert ways[0][0] > 0.5
+    np.testing.assert_allclose(ways[1], [-ways[0][1], ways[0][0], ways[0][2]], atol=1e-9)
+    np.testing.assert_allclose(hips(BvhMotion(file, pace=2.0), 1.0), hips(BvhMotion(file), 2.0), atol=1e-9)
 
 
 @pytest.mark.parametrize("change", [{"file": ""}, {"pace": 0.0}, {"from_s": 2.0, "to_s": 1.0}])

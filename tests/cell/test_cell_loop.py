@@ -80,14 +80,17 @@ def holds(obstacles: Obstacles, points: Float64, stamp: int) -> bool:
     return bool((gaps.min(axis=1) <= 1e-6).all())
 
 
-def test_foreseen_obstacles_hold_everybody_for_as_long_as_they_are_valid(world: World, shadow: Shadow) -> None:
+@pytest.mark.parametrize("ahead", [200 * MS, 120 * MS])
+def test_foreseen_obstacles_hold_everybody_for_as_long_as_they_are_valid(
+    world: World, shadow: Shadow, ahead: int
+) -> None:
     oracle = Oracle(world, shadow, reach_m=50.0)
     begin = world.scenario.start_ns + 1_313 * MS
-    foreseen = oracle.foreseen(begin - 33 * MS, begin, 200 * MS, np.zeros((1, 3)))
-    for stamp in range(begin, begin + 201 * MS, 9 * MS):
+    foreseen = oracle.foreseen(begin - 33 * MS, begin, ahead, np.zeros((1, 3)))
+    for stamp in range(begin, begin + ahead + MS, 9 * MS):
         centres = np.array([solid.placed.T_base_shape[:3, 3] for solid in world.moving(stamp)])
         assert holds(foreseen, centres, stamp)
-    assert foreseen.valid_to[foreseen.kinds == ObstacleKind.MOVING].max() == begin + 200 * MS
+    assert foreseen.valid_to[foreseen.kinds == ObstacleKind.MOVING].max() == begin + ahead
     assert np.linalg.norm(foreseen.velocities, axis=1).max() > 0.5
     now = oracle.present(begin, np.zeros((1, 3)))
     assert holds(now, np.array([solid.placed.T_base_shape[:3, 3] for solid in world.moving(begin)]), begin)
@@ -170,6 +173,16 @@ def test_no_command_is_obeyed_for_longer_than_the_reaction(arm: ArmInCell, laten
     while not 0 < program.share < 1:
         program.step(STEP_NS)
     assert program.now - STEP_NS == round(parameters.reaction_s * 1e9)
+
+
+def test_the_fastest_of_what_is_underway_is_known_until_it_is_obeyed(arm: ArmInCell) -> None:
+    program = RunningProgram(arm.cycle, SteadyStop(), 0, command_latency_ns=2 * STEP_NS)
+    told = [program.told]
+    for share in (0.8, 0.2, 0.0, 0.0, 0.0):
+        program.tell(share)
+        told.append(program.told)
+        program.step(STEP_NS)
+    assert told == [0.0, 0.8, 0.8, 0.8, 0.8, 0.2]
 
 
 def test_a_driven_arm_tells_the_speed_at_which_it_is_driven(scenario: Scenario, arm: ArmInCell) -> None:

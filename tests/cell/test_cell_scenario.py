@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -182,3 +183,16 @@ def test_another_seed_moves_what_acts_only_where_the_scenario_varies() -> None:
         stamp = scenario.start_ns + 1_200_000_000
         first, second = (World(scenario.with_seed(seed)).moving(stamp)[0].placed for seed in (1, 2))
         assert (first.T_base_shape != second.T_base_shape).any() == varies
+
+
+def test_a_seed_shifts_a_person_as_a_whole(tmp_path: Path) -> None:
+    person = {"shoulder": {"positions": [[1.3, 0.3, 0.5]]}, "hand": {"positions": [[1.0, 0.2, 0.3]]}}
+    content = {"cameras": [CAMERA], "people": [person], "variation": {"position_m": 0.3}}
+    scenario = load_scenario(written(tmp_path, content))
+    bodies = [
+        np.array([solid.placed.T_base_shape for solid in World(scenario.with_seed(seed)).moving(scenario.start_ns)])
+        for seed in (1, 2)
+    ]
+    shifts = bodies[1] - bodies[0]
+    assert np.linalg.norm(shifts[0, :3, 3]) > 0.05
+    np.testing.assert_allclose(shifts, np.broadcast_to(shifts[0], shifts.shape), atol=1e-9)

@@ -183,6 +183,8 @@ def test_unsorted_stamps_step_back(small: Scenario) -> None:
     stamps = [s.views[1].stamp for s in CellSource(faulty(small, "unsorted_stamps"))]
     assert np.diff(stamps).min() < 0
     assert np.diff(stamps).min() > -UNSORTED_STEP_NS
+    true = [s.views[1].stamp for s in CellSource(small)]
+    assert set(np.subtract(true, stamps)) == {0, UNSORTED_STEP_NS}
 
 
 def test_nan_depth_never_passes_the_source(small: Scenario) -> None:

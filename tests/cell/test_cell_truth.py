@@ -68,6 +68,10 @@ def test_the_arm_and_moving_things_are_told_apart(rig: SimulatedRig, truth: Cell
         assert np.all(np.diff(indices.astype(np.int64)) > 0)
     masks = [truth.moving_mask(0, stamp) & truth.arm_mask(0, stamp), truth.moving_mask(0, stamp)]
     assert not masks[0].any() and masks[1].any()
+    seen = back_project(rig.cameras[0], rig.see(0, stamp).depth)[truth.arm_mask(0, stamp)]
+    voxels = truth.grid.indices(seen)
+    assert (voxels >= 0).sum() > 50
+    assert near(truth.grid, arm)[voxels[voxels >= 0]].all()
 
 
 def test_volume_of_a_ball_is_right_and_it_moves_as_thrown() -> None:
