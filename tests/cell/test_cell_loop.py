@@ -185,6 +185,18 @@ def test_the_fastest_of_what_is_underway_is_known_until_it_is_obeyed(arm: ArmInC
     assert told == [0.0, 0.8, 0.8, 0.8, 0.8, 0.2]
 
 
+def test_what_is_measured_of_a_program_says_which_way_its_joints_turn(scenario: Scenario, arm: ArmInCell) -> None:
+    program = RunningProgram(arm.cycle, SteadyStop(), 0, command_latency_ns=0)
+    program.share = 0.5
+    slowest = 0.0
+    for phase_ns in range(0, arm.cycle.period_ns, 50 * MS):
+        program.phase_ns = phase_ns
+        there = arm.sample(scenario.start_ns + phase_ns + 4 * MS)
+        np.testing.assert_allclose(program.joints.velocities, 0.5 * there.velocities, atol=1e-9)
+        slowest = min(slowest, float(program.joints.velocities.min()))
+    assert slowest < -0.2
+
+
 def test_a_driven_arm_tells_the_speed_at_which_it_is_driven(scenario: Scenario, arm: ArmInCell) -> None:
     assert scenario.arm is not None
     driven = DrivenArm(scenario.arm, scenario)

@@ -44,7 +44,7 @@ class RunningProgram:
     @property
     def joints(self) -> JointSample:
         """What is measured of it now."""
-        return JointSample(self.now, self.cycle.template.names, self.q, self.share * self.speeds())
+        return JointSample(self.now, self.cycle.template.names, self.q, self.share * self._velocities())
 
     def ahead(self) -> JointPath:
         """The next 200 ms at the program's full speed."""
@@ -53,11 +53,8 @@ class RunningProgram:
         return JointPath(template.names, self.now + _AHEAD_OFFSETS_NS, sample_path(template, phases))
 
     def speeds(self) -> Float64:
-        """Joint speeds [J] of the program here, at full speed, rad/s."""
-        period, phase = self.cycle.period_ns, round(self.phase_ns)
-        before, after = sample_path(self.cycle.template, np.array([phase % period, (phase + _DIFFERENCE_NS) % period]))
-        speeds: Float64 = np.abs(after - before) / (_DIFFERENCE_NS * 1e-9)
-        return speeds
+        """Joint speeds [J] of the program here, at full speed, rad/s, none of them negative."""
+        return np.abs(self._velocities())
 
     @property
     def told(self) -> float:
@@ -80,6 +77,13 @@ class RunningProgram:
             before, self.share = self.share, max(self._target, self.share - fall)
         self.phase_ns += (before + self.share) / 2 * step_ns
         self.now += step_ns
+
+    def _velocities(self) -> Float64:
+        """Joint velocities [J] of the program here, at full speed, rad/s."""
+        period, phase = self.cycle.period_ns, round(self.phase_ns)
+        before, after = sample_path(self.cycle.template, np.array([phase % period, (phase + _DIFFERENCE_NS) % period]))
+        velocities: Float64 = (after - before) / (_DIFFERENCE_NS * 1e-9)
+        return velocities
 
 
 def longest_stop_ns(cycle: CyclicPath, table: StoppingTable) -> int:
