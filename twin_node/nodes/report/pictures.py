@@ -23,7 +23,7 @@ TRUE = (52, 168, 83)
 MASK = (255, 0, 255)
 """Colours drawn into images, RGB. With less blue the last is the grey of a floor to who sees no green."""
 ENLARGED_TO = 480
-"""Images are shown at least this wide, pixels."""
+"""Small images are shown larger, by the whole factor that brings their longer side nearest to this, pixels."""
 GAP_S, GAP_STEPS = 1.0, 4.0
 """Nothing is drawn between two sets that are farther apart than both: this, and so many of their usual steps."""
 
@@ -66,7 +66,7 @@ def forecast_picture(image: Image, camera: Camera, grid: Grid, foreseen: UInt32,
 
 
 def enlarge(image: Image) -> UInt8:
-    """[h, w, 3] the image at `ENLARGED_TO` pixels width or its own, whichever is more."""
+    """[h, w, 3] the image in 8 bits, larger where it is much smaller than `ENLARGED_TO`."""
     pixels = (np.clip(image, 0, 1) * 255).astype(np.uint8)
     factor = max(1, round(ENLARGED_TO / max(image.shape[1], image.shape[0])))
     size = (image.shape[1] * factor, image.shape[0] * factor)
