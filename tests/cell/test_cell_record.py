@@ -9,6 +9,7 @@ import pytest
 
 from twin_node.bag import BagError, open_log, read_rig_record
 from twin_node.cell import CellSource, CellTruth, Scenario, SimulatedRig, write_log
+from twin_node.cell.record import Recording
 from twin_node.cell.scenario import Fault
 from twin_node.messages import header_stamp
 from twin_node.messages.convert import (
@@ -35,6 +36,17 @@ def test_the_log_has_every_topic_at_its_rate(log: Path) -> None:
         for topic in ("camera_info", "image_raw/compressed", "depth/image_rect"):
             assert counts.pop(f"/{camera}/{topic}") == 15
     assert counts == {"/tf_static": 1, "/joint_states": 63, "/arm/trajectory": 5, "/truth/occupancy": 15}
+
+
+@pytest.mark.parametrize(("duration_s", "count"), [(1.1, 110), (1.105, 111), (2.0, 200)])
+def test_joints_are_told_until_the_scenarios_end(small: Scenario, duration_s: float, count: int) -> None:
+    """1.1 x 100 is 110.00000000000001, and one sample more was of the time after the end."""
+    assert small.arm is not None
+    arm = replace(small.arm, joint_rate_hz=100.0)
+    entries = Recording(replace(small, duration_s=duration_s, arm=arm))._joint_states()
+    stamps = [entry.stamp for entry in entries]
+    assert len(stamps) == count
+    assert stamps[-1] < small.start_ns + duration_s * 1e9
 
 
 def test_the_log_carries_the_rig_and_where_it_comes_from(log: Path, small: Scenario) -> None:

@@ -119,7 +119,8 @@ class Recording:
             yield Entry(stamp, "/truth/occupancy", occupancy_to_message(self._truth.occupancy(stamp)))
 
     def _times(self, rate_hz: float) -> list[int]:
-        count = int(np.ceil(self._scenario.duration_s * rate_hz))
+        """Stamps before the scenario's end, ns; 1.1 s at 100 Hz are 110, though their product is a little more."""
+        count = int(np.ceil(self._scenario.duration_s * rate_hz - 1e-6))
         return [self._scenario.start_ns + round(i * 1e9 / rate_hz) for i in range(count)]
 
 
