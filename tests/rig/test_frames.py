@@ -100,6 +100,27 @@ def test_joints_without_others_around_them_keep_their_own_time() -> None:
     assert still.at(120 * MS) is still
 
 
+def test_joints_that_never_tell_velocities_are_as_fast_as_their_samples_say() -> None:
+    """As of joint_state_publisher and many a driver: zeros, or nothing. Samples a moment apart tell nothing."""
+    assembler = FrameAssembler(CAMERAS, width=160)
+    for told in (sample(0, 0.0, 1.0), sample(100, 0.2, 0.9)):
+        assembler.add_joints(told)
+    found = [one for one in attached(assembler, 50, 100, 130) if one is not None]
+    assert [one.stamp // MS for one in found] == [50, 100, 100]
+    assert np.array([one.velocities for one in found]) == pytest.approx(np.array([(2.0, -1.0)] * 3))
+    assert found[2].at(130 * MS).positions == pytest.approx([0.26, 0.87])
+    assembler.add_joints(JointSample(100 * MS + 1000, ("a", "b"), np.array([0.3, 0.9]), np.zeros(2)))
+    assembler.add_joints(sample(300, 0.0, 0.0))
+    unknown = [one for one in attached(assembler, 130, 220) if one is not None]
+    assert len(unknown) == 2
+    assert not np.any([one.velocities for one in unknown])
+    assembler.add_joints(sample(320, 0.0, 0.0, speed=1.0))
+    assembler.add_joints(sample(340, 0.3, 0.0))  # it stands, and says so
+    (standing,) = attached(assembler, 350)
+    assert standing is not None
+    assert not standing.velocities.any()
+
+
 @pytest.mark.parametrize(
     "after",
     [sample(20, -3.1, 0.0), sample(20, 3.0, 0.0, names=("b", "a")), sample(20, 3.0, names=("a",))],
