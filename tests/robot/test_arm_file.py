@@ -158,3 +158,14 @@ def test_a_file_with_numbers_that_are_none_is_refused(tmp_path: Path, sound: str
     (tmp_path / "arm.urdf").write_text(text.replace(sound, wrong))
     with pytest.raises(RobotError, match=f"arm.urdf: expected finite numbers, found others as {what}"):
         load_arm(tmp_path / "arm.urdf")
+
+
+@pytest.mark.parametrize(("joint", "said"), [("<freejoint/>", "is none"), ("<joint/>", "does not go on")])
+def test_a_joint_without_a_name_that_is_not_the_arms_is_told_of(tmp_path: Path, joint: str, said: str) -> None:
+    """As of a thing that lies beside the arm: nothing was named there."""
+    (tmp_path / "arm.xml").write_text(
+        f'<mujoco><worldbody><body name="a"><joint name="j"/><geom size="0.1"/></body><body pos="2 0 0">{joint}'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(RobotError, match=f"found that one without a name {said}"):
+        load_arm(tmp_path / "arm.xml")

@@ -146,7 +146,7 @@ def _geom_lines(model: ArmModel, link: int) -> list[str]:
 
 def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> list[int]:
     """Indices of the arm's joints from base to tool; raises `RobotError` unless they are hinges in a chain."""
-    known = [engine.joint(joint).name for joint in range(engine.njnt)]
+    known = [engine.joint(joint).name or "one without a name" for joint in range(engine.njnt)]
     missing = [name for name in names or () if name not in known]
     if missing:
         raise RobotError(f"{path}: expected joint {missing[0]}, found {', '.join(known)}; check the joint names")
