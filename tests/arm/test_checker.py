@@ -290,6 +290,9 @@ def test_where_contact_is_allowed_nothing_stands_unseen() -> None:
 
 def test_a_folded_arm_meets_itself(ur5e_checker: ArmCollisionChecker) -> None:
     assert ur5e_checker.self_distance(READY).distance > 0.02
+    pairs = tuple((other, one) for one, other in ur5e_checker.model.never_meet)
+    same = ArmCollisionChecker(replace(ur5e_checker.model, never_meet=pairs), max_obstacles=1)
+    assert same.self_distance(READY) == ur5e_checker.self_distance(READY), "pairs in either order never meet"
     folded = ur5e_checker.self_distance(np.array([0.0, -1.5, 3.0, 0.0, 0.0, 0.0]))
     assert folded.distance <= 0
     assert {folded.first, folded.second} <= set(ur5e_checker.model.link_names)

@@ -68,8 +68,9 @@ class SelfCollision:
         """True [C, C], upper triangle, for pairs of capsules worth looking at."""
         links = self._model.capsules.links
         apart = links[None, :] - links[:, None] >= 2
-        for one, other in self._model.never_meet:
-            apart &= ~np.outer(np.array(self._names) == one, np.array(self._names) == other)
+        for pair in self._model.never_meet:
+            for one, other in (pair, pair[::-1]):
+                apart &= ~np.outer(np.array(self._names) == one, np.array(self._names) == other)
         first, second = np.nonzero(apart)
         poses = self._model.random_positions(np.random.default_rng(0), _SAMPLES)
         overlapping = (self._pair_gaps(poses, first, second) <= 0).mean(axis=0) > _ALWAYS
