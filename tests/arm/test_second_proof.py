@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from obstacle_sets import MS, NOW, Thing
-from turning_arm import REACTION_S, SEEN, TURNING, beside_the_tool, decided_since
+from turning_arm import REACTION_S, SEEN, TURNING, beside_the_tool, decided, decided_since
 
 from twin_node.arm import ArmCollisionChecker, stopping_table
 from twin_node.arm.separation import Reaches
@@ -29,6 +29,14 @@ def test_what_was_seen_is_a_second_proof(ur5e_checker: ArmCollisionChecker) -> N
     assert shares[0] == 0.0
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
+
+
+@pytest.mark.parametrize(("kind", "share"), [(ObstacleKind.UNKNOWN, 1.0), (ObstacleKind.MOVING, 0.0)])
+def test_where_it_was_before_the_forecast_begins_is_asked_of_what_moves_alone(
+    ur5e_checker: ArmCollisionChecker, kind: ObstacleKind, share: float
+) -> None:
+    later = beside_the_tool(ur5e_checker, 0.3, kind=kind, valid_ms=(200, 400))
+    assert decided(ur5e_checker, later, velocity=0.1 * TURNING).speed_fraction == share
 
 
 def test_a_fast_thing_proves_less(ur5e_checker: ArmCollisionChecker) -> None:
