@@ -56,3 +56,22 @@ def test_what_turns_on_an_arm_is_enclosed_between_the_places_that_are_looked_at_
         ends = data.geom_xpos[tip] + np.stack([-half, half])
         assert distance_to_segment(ends, placed.ends[-1]).max() + 0.005 <= placed.radii[-1] + 1e-9
     assert placed.radii[-1] < most_m
+
+
+def test_what_hangs_on_a_ball_is_enclosed_whichever_way_it_turns(tmp_path: Path) -> None:
+    """Its range is how far it turns about any axis: taken for a hinge's, it stayed where the file draws it."""
+    path = tmp_path / "ball.xml"
+    path.write_text(ARM.format(f'<joint type="ball" range="0 90" pos="0 0 .03"/>{TIP}'))
+    arm = arm_model(path, joint_names=("pan",))
+    placed = place_capsules(arm, forward_kinematics(arm, np.zeros(1)))
+    engine = mujoco.MjModel.from_xml_path(str(path))
+    data, rng, tip = mujoco.MjData(engine), np.random.default_rng(0), engine.ngeom - 1
+    for _ in range(500):
+        axis = rng.normal(size=3)
+        half_turn = rng.uniform(0, np.pi / 4)
+        data.qpos[1:] = [np.cos(half_turn), *(np.sin(half_turn) * axis / np.linalg.norm(axis))]
+        mujoco.mj_kinematics(engine, data)
+        half = engine.geom_size[tip, 1] * data.geom_xmat[tip].reshape(3, 3)[:, 2]
+        ends = data.geom_xpos[tip] + np.stack([-half, half])
+        assert distance_to_segment(ends, placed.ends[-1]).max() + 0.005 <= placed.radii[-1] + 1e-9
+    assert placed.radii[-1] < 0.13

@@ -306,7 +306,7 @@ class _Places:
     anchors: Float64
     """[P, J, 3] m in the link's frame: where the joints are then, that next to the link first."""
     steps: Float64
-    """[J] rad from one place to the next; 0 of joints that slide."""
+    """[J] rad from one place to the next; 0 of joints that slide, two turns of a ball's, which turns about any axis."""
 
 
 def _places(engine: Any, data: Any, geom: int, on: int, T_link_world: Float64) -> _Places:
@@ -315,7 +315,8 @@ def _places(engine: Any, data: Any, geom: int, on: int, T_link_world: Float64) -
     between = chain[: chain.index(on)]
     joints = [j for j in range(engine.njnt) if int(engine.jnt_bodyid[j]) in between and engine.jnt_limited[j]]
     limits = engine.jnt_range[joints]
-    spans = np.ptp(limits, axis=1) * (engine.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE)
+    kinds = engine.jnt_type[joints]
+    spans = np.ptp(limits, axis=1) * (kinds == mujoco.mjtJoint.mjJNT_HINGE)
     counts = _counts(spans)
     ranges = [np.linspace(lower, upper, count) for (lower, upper), count in zip(limits, counts, strict=True)]
     addresses = engine.jnt_qposadr[joints]
@@ -326,7 +327,8 @@ def _places(engine: Any, data: Any, geom: int, on: int, T_link_world: Float64) -
         mujoco.mj_kinematics(engine, posed)
         poses.append(pose(posed.geom_xmat[geom].reshape(3, 3), posed.geom_xpos[geom]))
         anchors.append(transform(T_link_world, posed.xanchor[joints]))
-    return _Places(T_link_world @ np.stack(poses), np.stack(anchors), spans / (counts - 1))
+    steps = np.where(kinds == mujoco.mjtJoint.mjJNT_BALL, 4 * np.pi, spans / (counts - 1))
+    return _Places(T_link_world @ np.stack(poses), np.stack(anchors), steps)
 
 
 def _counts(spans: Float64) -> NDArray[np.int64]:
