@@ -30,6 +30,7 @@ from twin_node.model.sequence.canonical import PLACES, CanonicalGaussians, Offsp
 from twin_node.model.sequence.densify import PositionGradients, densify
 from twin_node.model.sequence.scoring import mean_psnr
 from twin_node.model.sequence.seeding import box_around, start_gaussians
+from twin_node.model.sequence.sequence_model import LARGEST_M
 from twin_node.scene import View
 from twin_node.splat import rasterize
 
@@ -277,6 +278,21 @@ def test_outliers_do_not_stretch_the_box() -> None:
 def test_a_device_that_is_not_there_is_named() -> None:
     with pytest.raises(ModelError, match="abacus"):
         Trainer(block_recording(1), with_method("static", device="abacus"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_scales_that_leave_float32_do_not_end_a_training(method: str) -> None:
+    """Those of a field that was trained for twenty thousand steps did: the run ended in a trace."""
+    trainer = Trainer(block_recording(2), with_method(method, coarse_share=0.0))
+    field = trainer.model.field
+    with torch.no_grad():
+        if field is None:
+            trainer.model.gaussians.log_scales[0] = 100.0
+        else:
+            field.decoder()[-1][0] = 100.0  # of the growths
+    assert np.isfinite(trainer.advance()) and trainer.refused == 0
+    moved = trainer.model.at([trainer.recording.first])
+    assert float(moved.scales.detach().max()) == pytest.approx(LARGEST_M, rel=1e-3)
 
 
 @pytest.mark.parametrize("method", METHODS)

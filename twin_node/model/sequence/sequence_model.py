@@ -15,6 +15,9 @@ from twin_node.model.sequence.canonical import CanonicalGaussians
 from twin_node.model.sequence.field import SequenceField, moved_quats
 from twin_node.scene import Camera, Float32
 
+LARGEST_M = 1e12
+"""What is larger is drawn as large, m: of no scene that float32 tells places apart in would it show anything else."""
+
 
 @dataclass(frozen=True)
 class Span:
@@ -95,11 +98,12 @@ class SequenceModel:
         if self.field is None or not moving:
             means, quats = g.means.expand(len(stamps), -1, -1), g.quats.expand(len(stamps), -1, -1)
             unit = torch.nn.functional.normalize(quats, dim=-1)
-            return MovedGaussians(means, unit, log_scales.exp(), opacities, g.sh)
+            return MovedGaussians(means, unit, _scales(log_scales), opacities, g.sh)
         homes = g.means if self.homes is None else self.homes
         motion = self.field.motion(homes, self.span.times(stamps).to(g.means.device))
         quats = moved_quats(g.quats, motion.turns)
-        return MovedGaussians(g.means + motion.offsets, quats, (log_scales + motion.growths).exp(), opacities, g.sh)
+        scales = _scales(log_scales + motion.growths)
+        return MovedGaussians(g.means + motion.offsets, quats, scales, opacities, g.sh)
 
     def render(self, camera: Camera, stamp: int) -> Float32:
         """[H, W, 3] 0 to 1: what `camera` sees at `stamp` (ns)."""
@@ -107,6 +111,11 @@ class SequenceModel:
             rgb = draw(self.at([stamp]), 0, camera, self.background).rgb
         image: Float32 = rgb.clamp(0, 1).cpu().numpy()
         return image
+
+
+def _scales(log_scales: Tensor) -> Tensor:
+    """Scales [..., 3], m, of their logarithms, which a long training may carry to where float32 ends."""
+    return log_scales.clamp_max(math.log(LARGEST_M)).exp()
 
 
 def draw(
