@@ -62,7 +62,7 @@ class Planes(nn.Module):
         return torch.cat(levels, -1)
 
     def variation(self) -> Tensor:
-        """Mean squared second differences of all planes in space, summed over planes."""
+        """Mean squared second differences in space of three planes of a kind, summed over kinds, axes, resolutions."""
         both = [*self.space, *self.time]
         return torch.stack([_bend(plane, -1) for plane in both] + [_bend(plane, -2) for plane in self.space]).sum()
 
