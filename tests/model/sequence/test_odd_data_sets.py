@@ -94,6 +94,17 @@ def test_names_of_images_may_have_dots(copied: Copied) -> None:
     assert len(read_folder(folder, ReadOptions()).train) == FRAMES
 
 
+@pytest.mark.parametrize("file", ["/", "", "..", "./", "\0"])
+def test_a_path_that_names_no_file_is_one_error(copied: Copied, file: str) -> None:
+    folder = copied("dnerf")
+    rewrite(
+        folder / "transforms_train.json",
+        lambda content: content | {"frames": [content["frames"][0] | {"file_path": file}]},
+    )
+    with pytest.raises(ModelError, match=r"\.png: expected an image .* found no file"):
+        read_folder(folder, ReadOptions())
+
+
 def test_images_of_floats_are_refused(copied: Copied) -> None:
     """Of 0 to 1, they would be learnt as black."""
     folder = copied("dnerf")

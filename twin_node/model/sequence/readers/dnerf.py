@@ -114,7 +114,7 @@ def _read_frame(of: _Split, frame: _Frame, width: int | None) -> View:
     if not isinstance(file, str):
         raise ModelError(f"{path}: expected a 'file_path' in frame {index}, found none; copy the data set again")
     named = path.parent / file
-    image = load_image(named if named.is_file() else named.with_name(f"{named.name}.png"))
+    image = load_image(named if named.is_file() else Path(f"{named}.png"))
     K = _intrinsics(of.root | frame.fields, (image.shape[0], image.shape[1]), path)
     rgb = shrunk(_on_white(image), width)
     K = scaled_intrinsics(K, (image.shape[1], image.shape[0]), (rgb.shape[0], rgb.shape[1]))
