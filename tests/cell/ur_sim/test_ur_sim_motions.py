@@ -1,0 +1,56 @@
+"""Motions of the stand-in: as fast as they were asked to be, slowed by the slider, and watched while they go on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin_node.cell.ur_sim.controller import PERIOD_S, Controller, ControllerParameters
+from twin_node.cell.ur_sim.motions import STOP_DECELERATION, Hold, Motion, MoveJ, SpeedJ, Target
+from twin_node.cell.ur_sim.own_program import OwnProgram
+from twin_node.cell.ur_sim.states import RuntimeState
+from twin_node.scene import Float64
+
+
+def speeds_of(motion: Motion, target: Target, seconds: float, scale: float = 1.0) -> Float64:
+    """Joint velocities [T, 6] (rad/s) of a motion's targets, by their places."""
+    places = [target.q]
+    for _ in range(round(seconds / PERIOD_S)):
+        target = motion.advance(target, PERIOD_S, scale)
+        places.append(target.q)
+    return np.diff(places, axis=0) / PERIOD_S
+
+
+@pytest.mark.parametrize(("way", "speed"), [(1.0, 0.5), (0.1, 5.0)], ids=["cruises", "never at full speed"])
+def test_a_move_keeps_to_its_speed_and_its_acceleration(way: float, speed: float) -> None:
+    start, goal = np.zeros(6), way * np.array([1, -0.5, 0, 0.25, 0, 0.125])
+    motion = MoveJ(start, goal, speed, acceleration=2.0)
+    speeds = speeds_of(motion, Target(start, np.zeros(6)), motion.duration_s + PERIOD_S)
+    assert motion.is_done
+    np.testing.assert_allclose(speeds.sum(axis=0) * PERIOD_S, goal, atol=1e-9)
+    assert np.abs(speeds).max() == pytest.approx(min(speed, np.sqrt(2.0 * way)), rel=0.02)
+    assert np.abs(np.diff(speeds, axis=0)).max() <= 2.0 * PERIOD_S * 1.01
+
+
+def test_speeds_are_slowed_by_the_slider_and_stops_are_not() -> None:
+    wanted = np.array([0.4, -0.2, 0, 0, 0, 0.1])
+    speeds = speeds_of(SpeedJ(wanted, acceleration=1.0), Target(np.zeros(6), np.zeros(6)), 1.0, scale=0.5)
+    np.testing.assert_allclose(speeds[-1], 0.5 * wanted, atol=1e-9)
+    stopped = speeds_of(Hold(), Target(np.zeros(6), wanted), 0.4 / STOP_DECELERATION + PERIOD_S, scale=0.1)
+    assert not stopped[-1].any()
+
+
+def test_a_program_that_goes_on_is_given_a_whole_period_of_its_watchdog() -> None:
+    machine = Controller(ControllerParameters())
+    variable = machine.parameters.watchdog.variable
+    machine.inputs.write(variable, 1, machine.clock)
+    machine.play(OwnProgram())
+    for _ in range(500):
+        machine.tick()
+    assert machine.runtime_state is RuntimeState.PAUSED
+    assert machine.play(OwnProgram())
+    plays = []
+    for _ in range(100):
+        machine.tick()
+        plays.append(machine.runtime_state is RuntimeState.PLAYING)
+    assert sum(plays) * PERIOD_S == pytest.approx(0.1, abs=2 * PERIOD_S)
