@@ -151,13 +151,13 @@ def _timed(text: str) -> Any:
 
 
 def _version(text: str) -> tuple[int, int, int]:
-    match = re.fullmatch(r"(5)\.(\d+)\.(\d+)", text)
+    match = re.fullmatch(r"(5)\.(\d{1,4})\.(\d{1,4})", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text}: expected a PolyScope 5 version such as 5.12.0")
     return (int(match[1]), int(match[2]), int(match[3]))
 
 
 def _port(text: str) -> int:
-    if not text.isdigit() or int(text) > 65535:
+    if re.fullmatch(r"\d{1,5}", text) is None or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text}: expected a port, 1 to 65535, or 0 for none")
     return int(text)

@@ -280,3 +280,23 @@ def test_wrong_options_are_one_line_and_status_2(
     err = capsys.readouterr().err
     assert word in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--polyscope", "5.99999999999.1"], "5.99999999999.1: expected a PolyScope 5 version"),
+        (["--polyscope", "3.15.4"], "3.15.4: expected a PolyScope 5 version"),
+        (["--admin-port", "65536"], "65536: expected a port, 1 to 65535, or 0 for none"),
+        (["--admin-port", "\u00b2"], "expected a port, 1 to 65535, or 0 for none"),
+        (["--admin-port", "9" * 5000], "expected a port, 1 to 65535, or 0 for none"),
+    ],
+    ids=["more than RTDE tells", "another generation", "beyond all ports", "a digit raised", "too long a number"],
+)
+def test_versions_and_ports_that_cannot_be_are_refused(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A client's request for a version that has no 32 bits ended its connection."""
+    with pytest.raises(SystemExit):
+        main(["ur-sim", *arguments])
+    assert says in capsys.readouterr().err
