@@ -16,7 +16,7 @@ ISOMETRY_NS = 200_000_000
 PAIR_M = (0.03, 0.3)
 """Distances that are compared, m: shorter ones are noise, longer ones leave the thing."""
 PAIRS = 400
-"""Most pairs per tick."""
+"""So many pairs per tick, where there are as many; less than twice as many."""
 LEAST_PAIRS = 20
 LEFT_NS = 100_000_000
 """What covered a pixel so long ago and no longer does has just left it, ns."""
