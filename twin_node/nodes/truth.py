@@ -9,7 +9,7 @@ from twin_node.forecast.comparison import Truth
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.messages import convert
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
-from twin_node.scene import Bool, Float64, Occupancy, TwinState, View
+from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, UInt32, View
 
 STALE_NS = 26_000_000
 """Truth further than this from the time asked for is none: half a period at 20 Hz."""
@@ -52,12 +52,15 @@ class _Sampled(Truth):
     def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the moving voxels nearest in time, m, whatever had been seen of them."""
         row = self._row(stamp)
-        return None if row is None else self._points[row]
+        return None if row is None else self._points_of(row)
 
     def volume_l(self, stamp: int) -> float | None:
         """Litres of the moving voxels nearest in time."""
         row = self._row(stamp)
         return None if row is None else self._volumes[row]
+
+    def _points_of(self, row: int) -> Float64:
+        return self._points[row]
 
     def _row(self, stamp: int) -> int | None:
         if not self._stamps:
@@ -67,16 +70,24 @@ class _Sampled(Truth):
 
 
 class VoxelTruth(_Sampled):
-    """Exact moving voxels that a log carries."""
+    """Exact moving voxels that a log carries, kept as such: a long log's centres would fill the memory."""
 
     source = TRUTH_OCCUPANCY
     reach_ns = STALE_NS
 
     def __init__(self, log: LogReader) -> None:
         super().__init__()
+        self._voxels: list[tuple[Grid, UInt32]] = []
         for message in log.messages([TRUTH_OCCUPANCY]):
             occupancy = convert.occupancy_from_message(message.message)
-            self.remember_layer(occupancy.stamp, occupancy)
+            grid, indices = occupancy.grid, occupancy.layers[0].indices.copy()  # and not the message that holds them
+            self._stamps.append(occupancy.stamp)
+            self._voxels.append((grid, indices))
+            self._volumes.append(len(indices) * litres_per_voxel(grid))
+
+    def _points_of(self, row: int) -> Float64:
+        grid, indices = self._voxels[row]
+        return grid.centers(indices)
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same: all that moves."""
