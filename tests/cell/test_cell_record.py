@@ -9,7 +9,7 @@ import pytest
 
 from twin_node.bag import BagError, open_log, read_rig_record
 from twin_node.cell import CellSource, CellTruth, Scenario, SimulatedRig, write_log
-from twin_node.cell.record import Recording
+from twin_node.cell.record import LEAST_TRUTH_RATE_HZ, Recording
 from twin_node.cell.scenario import Fault
 from twin_node.messages import header_stamp
 from twin_node.messages.convert import (
@@ -47,6 +47,19 @@ def test_joints_are_told_until_the_scenarios_end(small: Scenario, duration_s: fl
     stamps = [entry.stamp for entry in entries]
     assert len(stamps) == count
     assert stamps[-1] < small.start_ns + duration_s * 1e9
+
+
+@pytest.mark.parametrize(("rate_hz", "parts"), [(30.0, 1), (20.0, 1), (15.0, 2), (10.0, 2), (4.0, 5)])
+def test_truth_is_told_often_enough_to_judge_forecasts_by(small: Scenario, rate_hz: float, parts: int) -> None:
+    """Of a cell at 15 Hz every forecast came due half a period from any truth, and a report told no recall."""
+    scenario = replace(small, sensing=replace(small.sensing, rate_hz=rate_hz))
+    recording = Recording(scenario)
+    ticks, stamps = SimulatedRig(scenario).tick_stamps(), recording._truth_stamps()
+    assert stamps[::parts] == ticks
+    assert len(stamps) == (len(ticks) - 1) * parts + 1
+    assert (np.diff(stamps) > 0).all()
+    assert np.diff(stamps).max() * 1e-9 <= 1 / LEAST_TRUTH_RATE_HZ + 0.01  # exposures jitter
+    assert recording.count == sum(1 for _ in recording.entries())
 
 
 def test_the_log_carries_the_rig_and_where_it_comes_from(log: Path, small: Scenario) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from heapq import merge
@@ -28,6 +29,9 @@ from twin_node.scene import Rig
 
 TRAJECTORY_RATE_HZ = 10.0
 """Rate of `/arm/trajectory`; each message reaches 0.5 s ahead."""
+
+LEAST_TRUTH_RATE_HZ = 20.0
+"""Rate of `/truth/occupancy` at least, whatever the cameras': a forecast is judged by a truth of about its own time."""
 
 SCENARIO_METADATA = "twin_node.scenario"
 """Metadata record with the scenario's `name` and `seed`: where the log comes from."""
@@ -84,7 +88,7 @@ class Recording:
         """Number of all messages."""
         arm = self._scenario.arm
         joints = 0 if arm is None else len(self._times(arm.joint_rate_hz)) + len(self._times(TRAJECTORY_RATE_HZ))
-        return 3 * len(self._exposures) + joints + self._simulated.ticks
+        return 3 * len(self._exposures) + joints + len(self._truth_stamps())
 
     def entries(self) -> Iterator[Entry]:
         """All messages, made as they are asked for."""
@@ -115,8 +119,18 @@ class Recording:
             yield Entry(stamp, "/arm/trajectory", joint_path_to_message(arm.ahead(stamp)))
 
     def _occupancy(self) -> Iterator[Entry]:
-        for stamp in self._simulated.tick_stamps():
+        for stamp in self._truth_stamps():
             yield Entry(stamp, "/truth/occupancy", occupancy_to_message(self._truth.occupancy(stamp)))
+
+    def _truth_stamps(self) -> list[int]:
+        """Of every image set, and evenly between them where these are rare, ns."""
+        ticks = np.array(self._simulated.tick_stamps(), np.int64)
+        parts = math.ceil(LEAST_TRUTH_RATE_HZ / self._scenario.sensing.rate_hz - 1e-6)
+        if parts < 2 or not len(ticks):
+            return [int(stamp) for stamp in ticks]
+        at = np.arange((len(ticks) - 1) * parts + 1) / parts
+        passed = np.interp(at, np.arange(len(ticks)), ticks - ticks[0])
+        return [int(ticks[0]) + round(ns) for ns in passed]
 
     def _times(self, rate_hz: float) -> list[int]:
         """Stamps before the scenario's end, ns; 1.1 s at 100 Hz are 110, though their product is a little more."""
