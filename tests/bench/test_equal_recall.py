@@ -13,7 +13,7 @@ from twin_node.bench.equal_recall import PersistenceGrowth
 from twin_node.forecast.growth import PER_VOXEL, Points, spread
 from twin_node.forecast.score import contains, litres_per_voxel
 from twin_node.nodes.truth import LaterTruth
-from twin_node.scene import Bool, Float64, Grid, View
+from twin_node.scene import Bool, Float64, Grid, Occupancy, OccupancyLayer, View
 
 GRID = Grid(np.array([-0.5, -0.5, 1.0]), 0.05, (20, 20, 10))
 EDGE = GRID.voxel_size
@@ -47,6 +47,14 @@ def middles(places: NDArray[np.int32]) -> Float64:
 def voxels(*places: tuple[int, int, int]) -> NDArray[np.int32]:
     """[3, n] of so many."""
     return np.array(places, np.int32).reshape(-1, 3).T
+
+
+def seen_to_move(stamp: int, places: NDArray[np.int32]) -> Occupancy:
+    """Voxels [3, n] that move at a stamp, ns."""
+    indices = grown(places, 0.0)
+    moving = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
+    nothing = OccupancyLayer(0, indices[:0], moving.probability[:0])
+    return Occupancy(stamp, stamp, GRID, (moving,), nothing, np.zeros((0, 2), np.uint32))
 
 
 def grown(places: NDArray[np.int32], radius: float) -> NDArray[np.uint32]:
@@ -100,7 +108,7 @@ def test_what_the_truth_forgets_later_counts_all_the_same() -> None:
     growth, period = PersistenceGrowth(GRID, truth), 100_000_000
     for number in range(400):
         place = voxels((min(2 * number, 400) % 20, 5, 5))
-        truth.remember(number * period, middles(place), 0.1)
+        truth.remember(seen_to_move(number * period, place))
         growth.settle(number * period)
         growth.add(place, 0, (number + 1) * period)
     told = growth.grown_to(0.4)

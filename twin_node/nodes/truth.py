@@ -35,32 +35,29 @@ class _Sampled(Truth):
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
-        self._points: list[Float64] = []
-        self._volumes: list[float] = []
+        self._voxels: list[tuple[Grid, UInt32]] = []
+        """And not their centres, of which a long log has gigabytes."""
 
-    def remember(self, stamp: int, points: Float64, volume_l: float) -> None:
-        """Takes in what moves at a stamp, ns: points [n, 3] in m."""
-        self._stamps.append(stamp)
-        self._points.append(points)
-        self._volumes.append(volume_l)
-
-    def remember_layer(self, stamp: int, occupancy: Occupancy) -> None:
-        """Takes in that the first layer moves at a stamp, ns."""
-        points = occupancy.grid.centers(occupancy.layers[0].indices)
-        self.remember(stamp, points, len(points) * litres_per_voxel(occupancy.grid))
+    def remember(self, seen: Occupancy) -> None:
+        """Takes in that the first layer of `seen` moves at its stamp."""
+        self._stamps.append(seen.stamp)
+        self._voxels.append((seen.grid, seen.layers[0].indices.copy()))  # and not the message that holds them
 
     def points(self, stamp: int, evidence: int) -> Float64 | None:
         """[n, 3] centres of the moving voxels nearest in time, m, whatever had been seen of them."""
         row = self._row(stamp)
-        return None if row is None else self._points_of(row)
+        if row is None:
+            return None
+        grid, indices = self._voxels[row]
+        return grid.centers(indices)
 
     def volume_l(self, stamp: int) -> float | None:
         """Litres of the moving voxels nearest in time."""
         row = self._row(stamp)
-        return None if row is None else self._volumes[row]
-
-    def _points_of(self, row: int) -> Float64:
-        return self._points[row]
+        if row is None:
+            return None
+        grid, indices = self._voxels[row]
+        return len(indices) * litres_per_voxel(grid)
 
     def _row(self, stamp: int) -> int | None:
         if not self._stamps:
@@ -70,24 +67,15 @@ class _Sampled(Truth):
 
 
 class VoxelTruth(_Sampled):
-    """Exact moving voxels that a log carries, kept as such: a long log's centres would fill the memory."""
+    """Exact moving voxels that a log carries."""
 
     source = TRUTH_OCCUPANCY
     reach_ns = STALE_NS
 
     def __init__(self, log: LogReader) -> None:
         super().__init__()
-        self._voxels: list[tuple[Grid, UInt32]] = []
         for message in log.messages([TRUTH_OCCUPANCY]):
-            occupancy = convert.occupancy_from_message(message.message)
-            grid, indices = occupancy.grid, occupancy.layers[0].indices.copy()  # and not the message that holds them
-            self._stamps.append(occupancy.stamp)
-            self._voxels.append((grid, indices))
-            self._volumes.append(len(indices) * litres_per_voxel(grid))
-
-    def _points_of(self, row: int) -> Float64:
-        grid, indices = self._voxels[row]
-        return grid.centers(indices)
+            self.remember(convert.occupancy_from_message(message.message))
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same: all that moves."""
@@ -106,16 +94,16 @@ class LaterTruth(_Sampled):
 
     def observe(self, state: TwinState, seen: Occupancy) -> None:
         """Takes in what was seen to move, and the moving masks of the views; of either the last 64 are kept."""
-        self.remember_layer(state.stamp, seen)
+        self.remember(seen)
         for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
             self._masks[view.camera.name, view.stamp] = mask
         while len(self._masks) > 64:
             del self._masks[next(iter(self._masks))]
 
-    def remember(self, stamp: int, points: Float64, volume_l: float) -> None:
-        """Takes in what was seen to move at a stamp, ns; the last 64 are kept."""
-        super().remember(stamp, points, volume_l)
-        del self._stamps[:-64], self._points[:-64], self._volumes[:-64]
+    def remember(self, seen: Occupancy) -> None:
+        """Takes in that the first layer of `seen` moves at its stamp; the last 64 are kept."""
+        super().remember(seen)
+        del self._stamps[:-64], self._voxels[:-64]
 
     def pixels(self, view: View) -> Bool | None:
         """[H, W] the moving mask of the view."""
