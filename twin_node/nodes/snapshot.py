@@ -182,8 +182,9 @@ class Snapshot:
         An image that has just come is older than the joints that have: beside it the arm is where it was then.
         """
         joints = self.joints_of(names)
-        is_near = joints is not None and abs(stamp - joints.stamp) <= LONGEST_MOVE_S * 1e9
-        return joints.at(stamp) if joints is not None and is_near else joints
+        if joints is None or abs(stamp - joints.stamp) > LONGEST_MOVE_S * 1e9:
+            return joints
+        return joints.at(stamp)
 
     @cached_property
     def path(self) -> JointPath | None:

@@ -176,7 +176,7 @@ class FrameSet:
     views: tuple[View, ...]
     """One per live camera, in the rig's order; a silent camera is missing."""
     joints: JointSample | None = None
-    """The arm's joints at `stamp`, or with their own one the nearest that are known, where the source has them."""
+    """The arm's joints, where the source has them: at `stamp`, or the nearest known, which keep their own stamp."""
     sequence: int = 0
     """Counts sets from the source, the dropped ones too."""
 

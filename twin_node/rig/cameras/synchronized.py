@@ -55,7 +55,7 @@ class SynchronizedSource:
         return self._synchronizer.report
 
     def add_joints(self, sample: JointSample) -> None:
-        """Takes the arm's joints at one time of the rig's clock, from any thread; sets have those at theirs."""
+        """Takes the arm's joints at one time of the rig's clock, from any thread; sets have those of their own time."""
         self._joints.put(sample)
 
     def __iter__(self) -> Iterator[FrameSet]:
