@@ -147,6 +147,11 @@ def test_colours_in_a_plane_below_the_rows(encoding: str) -> None:
     assert np.abs(decoded.astype(int) - [254, 0, 0]).max() <= 2
 
 
+def cut(message: Message) -> Message:
+    """The upper part of a JPEG, and its end marker."""
+    return replace(message, data=np.append(message.data[: len(message.data) * 3 // 4], message.data[-2:]))
+
+
 @pytest.mark.parametrize(
     ("message", "words"),
     [
@@ -158,6 +163,7 @@ def test_colours_in_a_plane_below_the_rows(encoding: str) -> None:
         (replace(compressed_image("cam", STAMP, gradient()), data=np.arange(50, dtype=np.uint8)), "cannot be decoded"),
         (replace(compressed_image("cam", STAMP, gradient()), data=np.zeros(0, dtype=np.uint8)), "0 bytes"),
         (replace(compressed_image("cam", STAMP, gradient()), data=claiming(65_500)), "cannot be decoded"),
+        (cut(compressed_image("cam", STAMP, gradient())), "expected a whole image, found a JPEG whose"),
         (image("yuv422", np.zeros((4, 5, 2), dtype=np.uint8)), "in pairs, found rows of 5"),
         (image("yuv422_yuy2", np.zeros((4, 5, 2), dtype=np.uint8)), "in pairs, found rows of 5"),
     ],

@@ -5,6 +5,7 @@
 
 from twin_node.messages.stamps import from_duration, from_time, header, header_stamp, to_duration, to_time
 from twin_node.messages.types import (
+    DamagedError,
     Message,
     MessageError,
     MessageTypes,
@@ -17,6 +18,7 @@ from twin_node.messages.types import (
 )
 
 __all__ = [
+    "DamagedError",
     "Message",
     "MessageError",
     "MessageTypes",

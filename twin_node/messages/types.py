@@ -29,6 +29,10 @@ class MessageError(TwinError):
     """A message, its type or its bytes are not what they should be."""
 
 
+class DamagedError(MessageError):
+    """A message's bytes do not hold what its type and its fields say: others of its topic may."""
+
+
 class MessageTypes:
     """A set of message types: classes, definitions, hashes and CDR of each.
 

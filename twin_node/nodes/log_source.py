@@ -160,12 +160,14 @@ class LogSource:
         """Sets in rising order of stamps, from the beginning of the session's span.
 
         Warns, with a `TwinWarning`, of what the session doubts, where damage or anything else has ended them before
-        the log's end, and of a camera that most of them lack, or its depth: what is made of them is made of a part.
+        the log's end, of damaged images, and of a camera that most of them lack, or its depth: what is made of them is
+        made of a part.
         """
         self._session.warn(self._session.set_doubts)
         held = SetContents()
         bus, clock = LocalBus(), SteppedClock()
-        self._session.synchronizer(bus, clock, *self._grouping).configure()
+        synchronizer = self._session.synchronizer(bus, clock, *self._grouping)
+        synchronizer.configure()
         ready: list[FrameSet] = []
         bus.subscribe(FRAMES, ready.append)
         for _ in self._session.player(bus).steps(clock):
@@ -176,7 +178,8 @@ class LogSource:
         ended = self._session.log.damage or held.ended_before(self._session.span.stop_ns)
         if ended is not None:
             warnings.warn(ended, TwinWarning, stacklevel=2)
-        for line in held.lacking(self._session.cameras_in_sets, self._session.cameras):
+        lacking = held.lacking(self._session.cameras_in_sets, self._session.cameras)
+        for line in (*synchronizer.damaged.lines, *lacking):
             warnings.warn(line, TwinWarning, stacklevel=2)
 
 

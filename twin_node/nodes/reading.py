@@ -45,21 +45,33 @@ class Finished:
 
     damage: str | None = None
     """Where the log could not be read on; None: it was read to its end."""
+    damaged_images: tuple[str, ...] = ()
+    """A line for each camera some of whose images were left out."""
     peak_rss_mb: float = 0.0
     """Most memory that a process of its own has held, MB."""
 
 
-def play(order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on_message: OnMessage) -> Iterator[int]:
-    """Plays the session's span at the clock's pace, grouped into sets; yields the log time, ns, after each message, and
-    while the next is long in coming."""
-    session, bus = order.session, LocalBus(is_latched)
-    synchronizer = session.synchronizer(bus, clock, order.synchronizer, order.joint_names)
-    synchronizer.configure()
-    synchronizer.activate()
-    bus.subscribe(FRAMES, on_frames)
-    for topic in HANDED_ON:
-        bus.subscribe(topic, partial(on_message, topic))
-    yield from session.player(bus).steps(clock, LONGEST_WAIT_S)
+class Play:
+    """Plays a session's span at a clock's pace, grouped into sets."""
+
+    def __init__(
+        self, order: Order, clock: SteppedClock | PacedClock, on_frames: OnFrames, on_message: OnMessage
+    ) -> None:
+        self._session, self._clock, self._bus = order.session, clock, LocalBus(is_latched)
+        self._synchronizer = self._session.synchronizer(self._bus, clock, order.synchronizer, order.joint_names)
+        self._synchronizer.configure()
+        self._synchronizer.activate()
+        self._bus.subscribe(FRAMES, on_frames)
+        for topic in HANDED_ON:
+            self._bus.subscribe(topic, partial(on_message, topic))
+
+    def steps(self) -> Iterator[int]:
+        """The log time, ns, after each message, and while the next is long in coming."""
+        return self._session.player(self._bus).steps(self._clock, LONGEST_WAIT_S)
+
+    def finished(self, peak_rss_mb: float = 0.0) -> Finished:
+        """What there is to say of it, in a process of its own with the memory that this has held, MB."""
+        return Finished(self._session.log.damage, self._synchronizer.damaged.lines, peak_rss_mb)
 
 
 class Reading:
@@ -106,10 +118,11 @@ class Reading:
             self._process.close()
 
     def _read(self, clock: PacedClock, bridge: Bridge, on_frames: OnFrames) -> None:
-        for _ in play(self._order, clock, on_frames, bridge.put):
+        play = Play(self._order, clock, on_frames, bridge.put)
+        for _ in play.steps():
             if bridge.is_closed:
                 return
-        self.finished = Finished(self._order.session.log.damage)
+        self.finished = play.finished()
 
     def _listen(self, process: WorkerProcess, bridge: Bridge, on_frames: OnFrames) -> None:
         cameras = LogSource(self._order.session, self._order.synchronizer).cameras

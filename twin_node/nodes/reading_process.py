@@ -6,7 +6,7 @@ import traceback
 from multiprocessing.connection import Connection
 
 from twin_node.errors import TwinError
-from twin_node.nodes.reading import Finished, NamingCameras, Order, play
+from twin_node.nodes.reading import Finished, NamingCameras, Order, Play
 from twin_node.runtime.clock import PacedClock
 from twin_node.runtime.copies import receive, send
 from twin_node.runtime.image_threads import image_loops_alone
@@ -36,9 +36,10 @@ def read(connection: Connection, order: Order, clock: PacedClock) -> Finished:
     def tell(thing: object) -> None:
         send(connection, thing, NamingCameras)
 
-    for _ in play(order, clock, tell, lambda topic, message: tell((topic, message))):
+    play = Play(order, clock, tell, lambda topic, message: tell((topic, message)))
+    for _ in play.steps():
         pass
-    return Finished(order.session.log.damage, peak_mb())
+    return play.finished(peak_mb())
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from twin_node.nodes.collector import CollectorNode
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.model import Following
-from twin_node.nodes.reading import Finished, Order, Reading, play
+from twin_node.nodes.reading import Finished, Order, Play, Reading
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.spool import Spool
 from twin_node.nodes.topics import FRAMES, RECORDED, GraphError
@@ -65,6 +65,8 @@ class Run:
     """Speed of the clock by the log's; None in lockstep."""
     damage: str | None = None
     """Where the log could not be read on; None: it was read to its end."""
+    damaged_images: tuple[str, ...] = ()
+    """A line for each camera some of whose images were left out."""
 
     @property
     def is_lockstep(self) -> bool:
@@ -83,12 +85,12 @@ class Run:
         return self.work_ms if self.is_lockstep else self.collector.latencies_ms
 
     def missed(self, session: LogSession) -> tuple[str, ...]:
-        """A line for each of the log's cameras that most sets had to do without, or its images without their depth; one
-        where sets ended before the log did."""
+        """A line for each of the log's cameras that most sets had to do without, or its images without their depth, or
+        some of whose images were damaged; one where sets ended before the log did."""
         arrived = self.collector.arrived
         ended = arrived.ended_before(session.span.stop_ns) if self.damage is None else None
         lacking = arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0)
-        return lacking if ended is None else (ended, *lacking)
+        return (*(() if ended is None else (ended,)), *self.damaged_images, *lacking)
 
 
 @contextlib.contextmanager
@@ -157,7 +159,8 @@ class _Engine:
         for stamp in self._session.player(bus).steps(clock):
             chain.model_node.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
-        return self._finish(chain, collector, 0, time.perf_counter() - begun, None, None)
+        read = Finished(self._session.log.damage, synchronizer.damaged.lines)
+        return self._finish(chain, collector, 0, time.perf_counter() - begun, None, read)
 
     def in_real_time(self, rate: float) -> Run:
         """Another process, or a thread, reads at the log's pace times `rate`, this one works; the newest set wins.
@@ -204,7 +207,7 @@ class _Engine:
         lest a made-up one be judged."""
         sets: list[FrameSet] = []
         light, first = FirstLight(), None
-        for _ in play(order, SteppedClock(), sets.append, bus.publish):
+        for _ in Play(order, SteppedClock(), sets.append, bus.publish).steps():
             for frames in sets:
                 first = first or frames
                 if not light.is_dark(frames):
@@ -243,9 +246,9 @@ class _Engine:
         dropped: int,
         seconds: float,
         rate: float | None,
-        read: Finished | None,
+        read: Finished,
     ) -> Run:
-        """What the run leaves behind; `read`: what was said by who has read for it, None in lockstep."""
+        """What the run leaves behind; `read`: what there is to say of the log."""
         if collector.newest_state is None:
             raise _nothing_followed(self._session, collector.arrived.sets)
         chain.stop()
@@ -256,16 +259,15 @@ class _Engine:
             followed=chain.model_node.followed,
             dropped=dropped,
             seconds=seconds,
-            peak_rss_mb=peak_mb()
-            + chain.model_node.peak_rss_mb_elsewhere
-            + (0.0 if read is None else read.peak_rss_mb),
+            peak_rss_mb=peak_mb() + chain.model_node.peak_rss_mb_elsewhere + read.peak_rss_mb,
             bytes_per_frame=chain.status.bytes_per_frame,
             model=chain.model_node.model,
             parameters_count=chain.model_node.parameters_count,
             collector=collector,
             spool=self._spool,
             rate=rate,
-            damage=self._session.log.damage if read is None else read.damage,
+            damage=read.damage,
+            damaged_images=read.damaged_images,
         )
 
 

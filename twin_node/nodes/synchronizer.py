@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from twin_node.errors import TwinError
-from twin_node.messages import Message, convert, from_time
+from twin_node.messages import DamagedError, Message, convert, from_time
 from twin_node.native_library import thread_count
 from twin_node.nodes.camera_watch import CameraWatch
+from twin_node.nodes.damaged_images import DamagedImages
 from twin_node.nodes.depth_pairs import DepthPairs, EncodedView
 from twin_node.nodes.early import EarlyViews
 from twin_node.nodes.set_ahead import ClocksSetAhead
@@ -68,9 +69,9 @@ class SynchronizerParameters:
 class SynchronizerNode(Node):
     """Groups the cameras' images by stamp; decodes, undistorts and publishes the sets that are wanted.
 
-    In lockstep it raises `GraphError` for images whose stamps run backwards, `MessageError` for those that cannot be
-    decoded, `RigError` for those of another size than the calibrated. Live, a camera whose image is no good is left out
-    of its set, and `/diagnostics` says why.
+    Of a log it raises `GraphError` for images whose stamps run backwards, `MessageError` for those of another format,
+    `RigError` for those of another size than the calibrated; one that is damaged its set goes without, and `damaged`
+    tells. Live, a camera whose image is no good is left out of its set, and `/diagnostics` says why.
     """
 
     def __init__(
@@ -90,6 +91,8 @@ class SynchronizerNode(Node):
         `clocks_apart`: cameras of a log that another clock than the others' stamps, and by how much it is ahead, ns.
         """
         super().__init__("synchronizer", bus, clock)
+        self.damaged = DamagedImages()
+        """Of a log."""
         self._is_live = timers is not None
         self._joint_names = frozenset(joint_names)
         self._clocks_apart = clocks_apart or {}
@@ -216,15 +219,19 @@ class SynchronizerNode(Node):
         self.bus.publish(FRAMES, self._assembler.assemble_views(views))
 
     def _view(self, name: str, member: Stamped[EncodedView]) -> View | None:
-        """A camera's part of a set; None, and told, where a live camera's image is no good: the others go on."""
+        """A camera's part of a set; None, and told, where its image is damaged or, live, no good: the others go on."""
         early = self._early.get(name, member.stamp, member.payload)
         try:
             view = self._decoded(name, member.stamp, member.payload) if early is None else early.result()
         except TwinError as error:
-            if not self._is_live:
+            if self._is_live:
+                self._watch.add_unusable(name, str(error))
+            elif isinstance(error, DamagedError):
+                self.damaged.add(name, error)
+            else:
                 raise
-            self._watch.add_unusable(name, str(error))
             return None
+        self.damaged.add_whole(name)
         if view.depth is not None and not view.depth.any():
             self._watch.add_unmeasured(name)
         return view

@@ -15,7 +15,8 @@ from twin_node.messages.convert.rvl import decode_rvl
 from twin_node.messages.convert.zstd_transport import FORMAT as ZSTD
 from twin_node.messages.convert.zstd_transport import packed_encoding, unpack_image
 from twin_node.messages.stamps import header, header_stamp
-from twin_node.messages.types import Message, MessageError, message_type
+from twin_node.messages.types import DamagedError, Message, MessageError, message_type
+from twin_node.picture_files import JPEG_SIGNATURE, decode_picture, is_cut_jpeg
 from twin_node.scene import Float32, UInt8
 
 JPEG_QUALITY = 95
@@ -56,7 +57,6 @@ MOSAIC = re.compile(r"(bayer_(?:rggb|bggr|gbrg|grbg))(?:8|16)\b")
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 MM_PER_M = 1000.0
-JPEG_SIGNATURE = b"\xff\xd8\xff"
 PNG_SIGNATURE = b"\x89PNG"
 PNG_HEAD_BYTES = 8
 """Before a PNG's first chunk."""
@@ -142,7 +142,7 @@ def rgb_from_message(message: Message) -> UInt8:
     if encoding == "rgb8":
         return pixels
     if encoding in PAIRED and pixels.shape[1] % 2:
-        raise MessageError(
+        raise DamagedError(
             f"{_name(message)}: {encoding} holds its pixels in pairs, found rows of {pixels.shape[1]}; the frame is "
             "damaged"
         )
@@ -171,7 +171,7 @@ def depth_from_message(message: Message) -> Float32:
 
 def _of_planes(message: Message) -> UInt8:
     if message.width % 2 or message.height % 2:
-        raise MessageError(
+        raise DamagedError(
             f"{_name(message)}: {message.encoding} has one colour for 2x2 pixels, found an image of "
             f"{message.width}x{message.height}; the frame is damaged"
         )
@@ -209,8 +209,8 @@ def _plain(message: Message) -> Message:
         raise _not_packed(message, error) from None
 
 
-def _not_packed(message: Message, error: ValueError) -> MessageError:
-    return MessageError(
+def _not_packed(message: Message, error: ValueError) -> DamagedError:
+    return DamagedError(
         f"{_name(message)}: expected an image of zstd_image_transport, found {error}; the frame is damaged"
     )
 
@@ -232,7 +232,7 @@ def _decode_compressed_depth(message: Message) -> Float32:
         found = _decode_depth(message, data)
         return _known(found) if found.dtype == np.float32 else _metres(found)
     if len(data) <= COMPRESSED_DEPTH_HEADER.size:
-        raise MessageError(f"{_name(message)}: {len(data)} bytes are no compressedDepth image; the frame is damaged")
+        raise DamagedError(f"{_name(message)}: {len(data)} bytes are no compressedDepth image; the frame is damaged")
     _, a, b = COMPRESSED_DEPTH_HEADER.unpack(bytes(data[: COMPRESSED_DEPTH_HEADER.size]))
     packed = data[COMPRESSED_DEPTH_HEADER.size :]
     values = _rvl(message, packed) if message.format.endswith("rvl") else _decode_depth(message, packed)
@@ -277,7 +277,7 @@ def _rvl(message: Message, data: UInt8) -> NDArray[np.uint16]:
     try:
         return decode_rvl(data)
     except ValueError as error:
-        raise MessageError(f"{_name(message)}: expected depth in RVL, found {error}; the frame is damaged") from None
+        raise DamagedError(f"{_name(message)}: expected depth in RVL, found {error}; the frame is damaged") from None
 
 
 def _decode_depth(message: Message, data: UInt8) -> NDArray[Any]:
@@ -292,25 +292,28 @@ def _decode_depth(message: Message, data: UInt8) -> NDArray[Any]:
 
 
 def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
-    try:
-        decoded = cv2.imdecode(np.ascontiguousarray(data), flags) if len(data) and not _is_cut_png(data) else None
-    except cv2.error:  # what its head says of its size is beyond all images
-        decoded = None
+    packed = data.tobytes()
+    decoded = None if _is_cut_png(packed) else decode_picture(packed, flags)
     if decoded is None:
-        raise MessageError(
+        raise DamagedError(
             f"{_name(message)}: {len(data)} bytes of format {message.format!r} cannot be decoded as an image; the "
             "frame is damaged or the format unknown"
+        )
+    if is_cut_jpeg(packed, decoded):
+        raise DamagedError(
+            f"{_name(message)}: expected a whole image, found a JPEG whose {len(data)} bytes are not all of it; the "
+            "frame is damaged"
         )
     return decoded
 
 
-def _is_cut_png(data: UInt8) -> bool:
+def _is_cut_png(data: bytes) -> bool:
     """Whether data are a PNG one of whose chunks goes on beyond their end: OpenCV takes as much memory first, 4 GB."""
-    if bytes(data[: len(PNG_SIGNATURE)]) != PNG_SIGNATURE:
+    if not data.startswith(PNG_SIGNATURE):
         return False
     place, name = PNG_HEAD_BYTES, b""
     while name != b"IEND" and place + PNG_CHUNK.size <= len(data):
-        length, name = PNG_CHUNK.unpack(bytes(data[place : place + PNG_CHUNK.size]))
+        length, name = PNG_CHUNK.unpack(data[place : place + PNG_CHUNK.size])
         place += PNG_CHUNK.size + length + 4
     return place > len(data)
 
@@ -320,7 +323,7 @@ def _rows(message: Message, dtype: np.dtype[Any], channels: int, rows_held: int 
     height, width, step = rows_held or int(message.height), int(message.width), int(message.step)
     row = width * channels * dtype.itemsize
     if not (height > 0 and width > 0 and step >= row and len(message.data) >= height * step):
-        raise MessageError(
+        raise DamagedError(
             f"{_name(message)}: {width}x{height} {message.encoding} needs rows of at least {row} bytes, found a step "
             f"of {step} and {len(message.data)} bytes in all; the frame is damaged"
         )

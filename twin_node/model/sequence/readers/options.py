@@ -9,15 +9,13 @@ import cv2
 import numpy as np
 
 from twin_node.model.parameters import ModelError
-from twin_node.picture_files import read_picture
+from twin_node.picture_files import is_cut_jpeg, lacks_end, read_picture
 from twin_node.scene import Float64, UInt8
 
 NO_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR")
 """In the names of camera models that are no pinholes even where all of their coefficients are 0."""
 MOST_STRETCHED = 0.01
 """By how much an image's sides may be stretched apart: rounding to whole pixels does so to small ones."""
-JPEG_SIGNATURE, START_OF_SCAN, END_OF_IMAGE = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
-"""Markers of a JPEG (ITU T.81, section B.1.1); the data of a scan hold none of them."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,8 @@ def load_image(path: Path) -> UInt8:
     if image is None:
         found = "another kind of file" if is_there else "no file"
         raise ModelError(f"{path}: expected an image (PNG or JPEG), found {found}; complete the data set")
-    if _is_cut_jpeg(path.read_bytes()):
+    packed = path.read_bytes()
+    if lacks_end(packed) or is_cut_jpeg(packed, image):
         raise ModelError(f"{path}: expected a whole image, found a JPEG that is cut short; copy the data set again")
     if image.dtype == np.uint16:
         image = (image // 256).astype(np.uint8)
@@ -49,17 +48,6 @@ def load_image(path: Path) -> UInt8:
         image = np.repeat(image[..., None], 3, -1)
     order = [2, 1, 0, *range(3, image.shape[-1])]
     return np.ascontiguousarray(image[..., order])
-
-
-def _is_cut_jpeg(data: bytes) -> bool:
-    """Whether a picture's file is a JPEG that ends within its first scan, which OpenCV reads, grey from there on."""
-    if not data.startswith(JPEG_SIGNATURE):
-        return False
-    at = 2
-    while data[at : at + 1] == b"\xff" and data[at : at + 2] != START_OF_SCAN:
-        is_fill = data[at + 1 : at + 2] == b"\xff"
-        at += 1 if is_fill else 2 + int.from_bytes(data[at + 2 : at + 4], "big")  # a segment may hold a thumbnail
-    return END_OF_IMAGE not in data[at:]
 
 
 def shrunk(image: UInt8, width: int | None) -> UInt8:
