@@ -67,6 +67,27 @@ def test_a_picture_shows_images_beside_the_twin(twin_log: Path, cell_log: Callab
     assert np.abs(row[:, 80:160].astype(int) - expected).max() <= 1
 
 
+def test_a_picture_says_where_an_image_is_damaged(
+    twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A film ended there, with an error, and a picture of that time could not be had."""
+    seen, out, topic = tmp_path / "seen.mcap", tmp_path / "a.png", "/cam_back/image_raw/compressed"
+    with open_log(cell_log(0.5)) as log, LogWriter(seen) as written:
+        for entry in log.messages():
+            if entry.topic == topic and entry.stamp > START + 200_000_000:
+                written.write(topic, replace(entry.message, data=entry.message.data[:300]), entry.stamp)
+            else:
+                written.write_raw(entry.topic, entry.msgtype, entry.data, entry.stamp)
+    rows = []
+    for at in (0.1, 0.4):
+        assert render(twin_log, seen, "--width", 80, "--at", at, "-o", out) == 0
+        picture = cv2.imread(str(out))[22 + 16 :, :80]
+        rows.append([picture[k * (16 + 60) :][:60] for k in range(3)])
+    whole, damaged = rows
+    assert all((image > 40).mean() > 0.5 for image in (*whole, *damaged[1:]))
+    assert 0.01 < (damaged[0] > 40).mean() < 0.3, "words on a dark picture"
+
+
 def test_the_orbit_looks_at_the_cell_and_boxes_fall_on_what_they_hold(twin_log: Path) -> None:
     with Playback([twin_log]) as playback:
         snapshot = playback.at(START)

@@ -229,7 +229,7 @@ def _read(topic: str, said: Said, read: Callable[[Message], Read]) -> Read:
     try:
         return read(said.message)
     except MessageError as error:
-        raise MessageError(f"{topic} at {said.stamp / 1e9:.3f} s: {error}") from None
+        raise type(error)(f"{topic} at {said.stamp / 1e9:.3f} s: {error}") from None
 
 
 def _decoded(message: Message) -> DecodedImage:

@@ -8,6 +8,7 @@ from functools import partial
 import cv2
 import numpy as np
 
+from twin_node.messages import DamagedError
 from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
 from twin_node.nodes.film.writer import FilmError
 from twin_node.nodes.overlays import MOVING_COLOUR, arm_mask, moving_mask
@@ -66,7 +67,7 @@ class Film:
 
     def beside(self, snapshot: Snapshot) -> UInt8:
         """Per camera a row: the image, the twin's rendering, where they differ, and what was foreseen for 200 ms."""
-        return np.vstack([self._row(camera, snapshot.view(camera.name), snapshot) for camera in self._cameras])
+        return np.vstack([self._row(camera, _view(camera, snapshot), snapshot) for camera in self._cameras])
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
@@ -74,7 +75,7 @@ class Film:
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
-        foreseen = ((c.name, self._foreseen(c, snapshot.view(c.name), snapshot)) for c in self._cameras)
+        foreseen = ((c.name, self._foreseen(c, _view(c, snapshot), snapshot)) for c in self._cameras)
         return _side_by_side([_titled(name, picture) for name, picture in foreseen])
 
     def orbit(self, snapshot: Snapshot) -> UInt8:
@@ -90,9 +91,9 @@ class Film:
         late_s = 0.0 if view is None else _late_s(view, snapshot)
         is_told = view is not None and not is_silent and late_s <= LONGEST_MOVE_S
         ours = _rendering(camera, snapshot.cloud_at(view.stamp) if view and is_told else snapshot.cloud_now)
-        image = differs = foreseen = _blank(camera)
+        image, foreseen = _image(camera, view, snapshot), self._foreseen(camera, view, snapshot)
+        differs = _blank(camera)
         if view is not None:
-            image, foreseen = _image(view, snapshot), self._foreseen(camera, view, snapshot)
             if is_told:
                 differs = _difference(ours, view)
             elif not is_silent:
@@ -111,7 +112,7 @@ class Film:
 
         It says so where no forecast holds: else it would look as if nobody were foreseen to move.
         """
-        picture = _blank(camera) if view is None else _image(view, snapshot)
+        picture = _image(camera, view, snapshot)
         if snapshot.foreseen is None:
             picture = _noted(np.asarray(picture // 2), "no forecast", row=1)
         foreseen, moving = moving_mask(snapshot, camera, -1), moving_mask(snapshot, camera, 0)
@@ -151,9 +152,20 @@ def _rendering(camera: Camera, cloud: GaussianCloud | None) -> Float32:
     return render_cloud(cloud, camera)
 
 
-def _image(view: View, snapshot: Snapshot) -> UInt8:
-    """[H, W, 3] what a camera saw last; it says so where that is long ago."""
-    silent_s = snapshot.camera_silent_s(view.camera.name)
+def _view(camera: Camera, snapshot: Snapshot) -> View | None:
+    """What a camera saw last; None where it has sent nothing, or its newest image is damaged."""
+    try:
+        return snapshot.view(camera.name)
+    except DamagedError:
+        return None
+
+
+def _image(camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
+    """[H, W, 3] what a camera saw last; it says so where that is long ago, and where its newest image is damaged."""
+    if view is None:
+        has_sent = snapshot.cameras[camera.name].image in snapshot.said
+        return _noted(_blank(camera), "damaged image") if has_sent else _blank(camera)
+    silent_s = snapshot.camera_silent_s(camera.name)
     if silent_s <= SILENT_S:
         return view.rgb
     return _noted(np.asarray(view.rgb // 2), f"no image for {silent_s:.0f} s")
