@@ -16,7 +16,7 @@ from twin_node.forecast.carving import Carver
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.static import StaticParameters, StaticSpace, mark, mark_reference
 from twin_node.forecast.tables import RigTables
-from twin_node.scene import Float32, GaussianCloud, Grid, Tier, TwinState, View
+from twin_node.scene import Float32, Float64, GaussianCloud, Grid, Tier, TwinState, View
 
 CAMERA = camera("cam", np.array([1.3, 0.7, 1.0]), roll=0.4)
 
@@ -51,11 +51,10 @@ def test_the_floor_is_marked_where_it_is_asked_for() -> None:
     assert marked.reshape(grid.dims)[10:30, 10:30, 0].mean() > 0.9
 
 
-@pytest.mark.parametrize("with_depth", [False, True])
-def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(with_depth: bool) -> None:
-    standing = replace(
+def standing_gaussian(mean: Float64) -> GaussianCloud:
+    return replace(
         GaussianCloud.none(),
-        means=np.array([[0.0, 0.0, 0.3]], np.float32),
+        means=mean[None].astype(np.float32),
         quats=np.array([[1, 0, 0, 0]], np.float32),
         scales=np.full((1, 3), 0.01, np.float32),
         opacities=np.ones(1, np.float32),
@@ -65,6 +64,11 @@ def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(wit
         ids=np.zeros(1, np.uint32),
         nodes=np.full(1, -1, np.int32),
     )
+
+
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(with_depth: bool) -> None:
+    standing = standing_gaussian(np.array([0.0, 0.0, 0.3]))
     carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
     state = replace(state_of(0, None, with_depth=with_depth), gaussians=standing)
     carver.carve(state, 0.0)
@@ -145,6 +149,57 @@ def test_what_was_measured_to_stand_hides_what_is_behind_it_while_no_depth_image
         carver.carve(state, 0.0)
         space.update(state, carver)
         assert len(space.opaque.indices) and space.opaque.error_m == 0
+
+
+def standing_at_first(center: Float64) -> TwinState:
+    """A ball that was there before anything moved: no mask shows it."""
+    state = state_of(0, center, with_depth=True)
+    return replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
+
+
+def test_what_had_stood_and_moves_off_leaves_free_space_in_the_very_next_set() -> None:
+    """Until every camera's turn had come, up to 0.17 s later, the place that somebody left was told to stand."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    there = np.array([0.0, 0.0, 0.3])
+    first = standing_at_first(there)
+    before = space.update(first, carver, carved=carver.carve(first, 0.0))
+    rises = state_of(33_000_000, there + np.array([0, 0, 0.06]), with_depth=True)
+    carved = carver.carve(rises, 0.0)
+    moves = carved.likely_moves.holds(before.indices)
+    assert moves.sum() > 100
+    assert space.update(rises, carver, carved=carved) is before, "what moves is still there"
+    gone = state_of(66_000_000, there + np.array([0.35, 0, 0]), with_depth=True)
+    after = space.update(gone, carver, carved=carver.carve(gone, 0.0))
+    assert np.array_equal(after.indices, before.indices[~moves])
+    assert np.array_equal(after.probability, before.probability[~moves])
+    still = replace(gone, stamp=99_000_000)
+    assert space.update(still, carver, carved=carver.carve(still, 0.0)) is after
+
+
+def test_where_nothing_has_moved_nothing_leaves_between_two_looks() -> None:
+    """One image whose noise puts all of a floor too far takes nothing out."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    state = standing_at_first(np.array([0.0, 0.0, 0.3]))
+    first = space.update(state, carver, carved=carver.carve(state, 0.0))
+    views = (replace(view, depth=view.depth + np.float32(0.5)) for view in state.frames.views if view.depth is not None)
+    later = replace(state, stamp=33_000_000, frames=replace(state.frames, views=tuple(views)))
+    carved = carver.carve(later, 0.0)
+    assert not (carved.may_move | carved.unknown).holds(first.indices).all()
+    assert space.update(later, carver, carved=carved) is first
+
+
+def test_what_a_gaussian_fills_stands_until_it_is_looked_at_again() -> None:
+    """The model has its own reasons, and its own pace."""
+    there = np.array([0.0, 0.0, 0.3])
+    opaque = standing_gaussian(there)
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    state = replace(standing_at_first(there), gaussians=opaque)
+    space.update(state, carver, carved=carver.carve(state, 0.0))
+    for stamp, center in ((33_000_000, there + np.array([0, 0, 0.06])), (66_000_000, np.array([0.35, 0.0, 0.3]))):
+        state = replace(state_of(stamp, center, with_depth=True), gaussians=opaque)
+        layer = space.update(state, carver, carved=carver.carve(state, 0.0))
+    [place] = GRID.indices(there[None])
+    assert place in layer.indices
 
 
 def noisy(state: TwinState, rng: np.random.Generator, sigma_m: float) -> TwinState:

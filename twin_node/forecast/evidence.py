@@ -124,15 +124,14 @@ class Observer:
         `anew`: what was known of how things move no longer holds.
         """
         own = self._own_space(state)
-        found = self._carve(state, own)
-        if own is not None:
-            found = found.without(own)  # its shadow stays unknown
+        shown = self._carve(state, own)
+        found = shown if own is None else shown.without(own)  # its shadow stays unknown
         if anew:
             self._velocities = PartVelocities(self.tables)
             self._last_centers, self._last = np.zeros((0, 3)), Estimate.unknown(0)
         parts, carved = self._without_specks(found)
         near = self._side_thread.begin(partial(closest, parts.centers))
-        static = self._static.update(state, self._carver, own)
+        static = self._static.update(state, self._carver, own, shown)
         if self._standing is None or self._standing.source is not static:
             self._standing = _Standing.of(static, self.margin)
         stands = self._standing.mask

@@ -16,6 +16,7 @@ from twin_node.forecast.errors import ForecastError
 from twin_node.forecast.kernel_requests import MarkRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.forecast.unprojection import FINER, from_middle, unproject
+from twin_node.forecast.verdicts import Carved
 from twin_node.native_library import addresses_of
 from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
 from twin_node.scene import Bool, Grid, OccupancyLayer, Tier, TwinState, View
@@ -42,7 +43,7 @@ class StaticParameters:
 
 
 class StaticSpace:
-    """The voxels that stand still, refreshed now and then."""
+    """The voxels that stand still, refreshed now and then; what has moved off is free at once."""
 
     def __init__(self, grid: Grid, parameters: StaticParameters | None = None) -> None:
         self.grid = grid
@@ -53,14 +54,20 @@ class StaticSpace:
         self.opaque = Opaque(np.zeros(0, np.int64))
         """What cameras without depth do not see past, the same until it is refreshed: what some camera has measured, or
         where none measures, what the Gaussians fill."""
-        self._layer = OccupancyLayer(0, np.zeros(0, np.uint32), np.zeros(0, np.uint8))
+        self._layer = _standing(np.zeros(0, np.uint32))
+        self._measured, self._moved = Bits.none(grid.dims), Bits.none(grid.dims)
+        """Since it was refreshed: what stands by its measured surface alone, and what something was seen to move in."""
         self._made_at: int | None = None
         self._turn = 0
 
-    def update(self, state: TwinState, carver: Carver, own: Bits | None = None) -> OccupancyLayer:
-        """The static layer as of this state. `own`: the arm's own space; None where there is no arm, or nobody tells
-        where it is: once somebody does, what was taken to stand in its place is no longer, nor what was close about it
-        unless it is measured again."""
+    def update(
+        self, state: TwinState, carver: Carver, own: Bits | None = None, carved: Carved | None = None
+    ) -> OccupancyLayer:
+        """The static layer as of this state, of which `carver` says what is `carved`, if that is known yet.
+
+        `own`: the arm's own space; None where there is no arm, or nobody tells where it is: once somebody does, what
+        was taken to stand in its place is no longer, nor what was close about it unless it is measured again.
+        """
         count = len(state.frames.views)
         if own is not None and self._doubtful is not None:
             self._surfaces[self._around(own).mask() & self._doubtful] = False
@@ -73,11 +80,31 @@ class StaticSpace:
             filled = self._gaussian_voxels(state)
             measures = any(view.depth is not None for view in state.frames.views) or self._surfaces.any()
             self.opaque = Opaque(np.flatnonzero(self._surfaces)) if measures else Opaque(np.unique(filled), GUESSED_M)
-            occupied = self._surfaces.copy()
-            occupied[filled] = True
-            indices = np.flatnonzero(occupied).astype(np.uint32)
-            self._layer = OccupancyLayer(0, indices, np.full(len(indices), 255, np.uint8))
+            occupied, measured = self._surfaces.copy(), self._surfaces.copy()
+            occupied[filled], measured[filled] = True, False
+            self._layer = _standing(np.flatnonzero(occupied))
+            self._measured, self._moved = Bits.of_mask(self.grid.dims, measured), Bits.none(self.grid.dims)
+        elif carved is not None:
+            self._leave(carved)
+        if carved is not None:
+            self._moved = self._moved | carved.likely_moves
         return self._layer
+
+    def _leave(self, carved: Carved) -> None:
+        """Takes out the surfaces of what has moved and is seen to be gone.
+
+        Who had stood there since the first images was told to stand, and so was the place that they left, until every
+        camera's turn had come. Only what moved is asked for: noise frees a voxel of what stands now and then.
+        """
+        moved = self._measured & self._moved
+        if not moved.words.any():
+            return
+        left = moved.without(carved.may_move | carved.unknown | carved.on_arm)
+        if not left.words.any():
+            return  # the layer stays the one that it was, and what follows from it too
+        self._surfaces[left.indices()] = False
+        self._measured = self._measured.without(left)
+        self._layer = _standing(self._layer.indices[~left.holds(self._layer.indices)])
 
     def _around(self, own: Bits) -> Bits:
         for _ in range(math.ceil(STRAYS_M / self.grid.voxel_size)):
@@ -109,6 +136,11 @@ class StaticSpace:
         chosen &= largest < 20 * self.grid.voxel_size
         found = self.grid.indices(cloud.means[chosen])
         return found[found >= 0]
+
+
+def _standing(indices: NDArray[np.integer]) -> OccupancyLayer:
+    """Voxels at flat indices [n] that stand for certain."""
+    return OccupancyLayer(0, indices.astype(np.uint32), np.full(len(indices), 255, np.uint8))
 
 
 def mark(grid: Grid, marked: Bool, view: View, where: Bool) -> None:
