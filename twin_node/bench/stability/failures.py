@@ -19,6 +19,7 @@ from twin_node.bench.stability.scenes import (
     turning_box,
 )
 from twin_node.cell import Scenario
+from twin_node.cell.scenario import Fault
 
 CALM = 0.6
 """Speed of the box in scenes in which something else goes wrong, m/s."""
@@ -58,6 +59,19 @@ def _late(level: float, seconds: float) -> Scenario:
     scene = one_box(circling(BRISK), seconds)
     *others, last = scene.cameras
     return replace(scene, cameras=(*others, replace(last, skew_ms=last.skew_ms + level)))
+
+
+def _hanging(level: float, seconds: float) -> Scenario:
+    """From the onset on `level` cameras send their last image again and again, under new stamps."""
+    scene = calm(level, seconds)
+    hanging = scene.cameras[: int(level)]
+    return replace(scene, faults=tuple(Fault("frozen", camera.name, ONSET_S) for camera in hanging))
+
+
+def _bumped(level: float, seconds: float) -> Scenario:
+    """At the onset the first camera is turned by `level` degrees."""
+    scene = calm(level, seconds)
+    return replace(scene, faults=(Fault("bumped", scene.cameras[0].name, ONSET_S, turn_deg=level),))
 
 
 def _faint(level: float, seconds: float) -> Scenario:
@@ -107,6 +121,8 @@ FAILURES: Mapping[str, Failure] = {
     "depth_noise": Failure("depth noise at 1 m", "mm", (5, 10, 20, 40), _noisy_depth),
     "depth_holes": Failure("holes in the depth", "share", (0.25, 0.5, 0.75, 1), calm, wrong.depth_holes),
     "dead_camera": Failure("dead cameras", "of 3", (1, 2, 3), calm, wrong.dead_cameras),
+    "hanging_camera": Failure("cameras that hang", "of 3", (1, 2, 3), _hanging),
+    "bumped_camera": Failure("one camera turned by a knock", "deg", (0.25, 0.5, 1, 5), _bumped),
     "leaving_the_box": Failure(
         "leaves the workspace and returns", "m/s", (0.5, 1, 1.5, 2), lambda v, s: one_box(to_and_fro(v, 1.05), s)
     ),
