@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -66,6 +67,19 @@ def test_recordings_refuse_times_that_cannot_be(tmp_path: Path, name: str, stamp
             log.write("/text", STRING, text("a"), stamp, builtin_types())
     with open_log(tmp_path / name) as log:
         assert [entry.stamp for entry in log.messages()] == [LAST]
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+def test_times_may_be_integers_of_numpy_s(tmp_path: Path, name: str) -> None:
+    """Folders ended in a traceback, and unfinished: their `metadata.yaml` took none."""
+    stamps: Any = np.array([START, START + 5])
+    with LogWriter(tmp_path / name) as log, RecordingWriter(tmp_path / f"recorded_{name}") as recording:
+        for stamp in stamps:
+            log.write_raw("/text", STRING, text("a"), stamp, stamp)
+            recording.write("/text", STRING, text("a"), stamp, builtin_types())
+    for written in (name, f"recorded_{name}"):
+        with open_log(tmp_path / written) as reader:
+            assert [entry.stamp for entry in reader.messages()] == stamps.tolist()
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "log"])

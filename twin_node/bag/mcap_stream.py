@@ -72,11 +72,11 @@ class McapStream:
 
     def write(self, topic: str, data: bytes | memoryview, stamp_ns: int, published_ns: int) -> None:
         """Writes CDR bytes at a log time, ns."""
-        written = self.written
-        self._writer.add_message(self._channels[topic], stamp_ns, data, published_ns, written.counts[topic])
+        written, stamp = self.written, int(stamp_ns)  # YAML knows no integers of NumPy's
+        self._writer.add_message(self._channels[topic], stamp, data, published_ns, written.counts[topic])
         written.counts[topic] += 1
-        written.start = stamp_ns if written.start is None else min(written.start, stamp_ns)
-        written.end = max(written.end, stamp_ns)
+        written.start = stamp if written.start is None else min(written.start, stamp)
+        written.end = max(written.end, stamp)
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Adds a record of strings."""
