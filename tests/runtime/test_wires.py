@@ -113,6 +113,7 @@ def test_topics_have_their_namespace_before_them_but_for_those_that_are_renamed_
     assert [bus.renamed(name) for name in names] == ["/map", "/driver/image", "/cell/told", "/clock"]
     assert [bus.named(bus.resolved(name)) for name in names] == list(names)
     assert bus.named("/map") is None and bus.named("/other/map") is None
+    assert bus.named("/cell/image") is None, "the node would listen to /driver/image by that name"
 
 
 def test_twins_of_two_namespaces_do_not_hear_each_other(zenoh_router: ZenohParameters) -> None:

@@ -119,9 +119,13 @@ class WireBus:
         return self._remaps.get(topic, topic)
 
     def named(self, topic: str) -> str | None:
-        """The node's own name of a topic on the wire; None: it is of another namespace."""
+        """The node's own name of a topic on the wire.
+
+        None: it has none, as a topic of another namespace, or one whose name the node has for another.
+        """
         own = next((own for own, name in self._remaps.items() if name == topic), None)
-        return own or without(self._wire.namespace, topic)
+        own = own or without(self._wire.namespace, topic)
+        return own if own is not None and self.resolved(own) == topic else None
 
     def publish(self, topic: str, message: Any) -> None:
         """Send `message`, which may be `Encoded`, to everyone who subscribes to `topic`."""
