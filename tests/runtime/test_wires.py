@@ -101,6 +101,16 @@ def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() ->
     assert talker.bus.resolved("/map") == "/other/map"
 
 
+def test_a_bus_may_end_after_its_wire() -> None:
+    """As where the main thread has ended and closed the wires that were open still."""
+    wire = LocalWire()
+    listener = Side(wire, "listener")
+    listener.listen("/record")
+    wire.close()
+    listener.bus.close()
+    listener.bus.close()
+
+
 class CellWire(LocalWire):
     namespace = "/cell"
 

@@ -115,7 +115,8 @@ class LocalWire:
 
         def cancel() -> None:
             with self._lock:
-                self._sinks[topic].remove(sink)
+                if sink in self._sinks.get(topic, ()):  # a wire that is closed has none
+                    self._sinks[topic].remove(sink)
 
         return cancel
 
