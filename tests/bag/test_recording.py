@@ -270,6 +270,8 @@ def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monk
         for i in range(1, 1000):
             writer.write("/a", STRING, text("x" * 500), i * STEP, builtin_types())
             writer._flushed_at = 0.0
+    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
+        writer.add_metadata("note", {"long": "x" * 20_000})
     monkeypatch.undo()
     stamps = stamps_of(path)
     assert len(stamps) > 20

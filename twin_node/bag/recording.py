@@ -189,7 +189,10 @@ class RecordingWriter:
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Adds a record of strings to the file that is being written."""
-        self._now_open.stream.add_metadata(name, record)
+        try:
+            self._now_open.stream.add_metadata(name, record)
+        except OSError as error:
+            raise self._refused(error) from None
 
     def close(self) -> None:
         """Finishes the last file and writes the folder's metadata; a second call does nothing."""
