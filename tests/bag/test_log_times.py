@@ -96,6 +96,17 @@ def test_times_that_are_no_whole_nanoseconds_are_refused(tmp_path: Path, name: s
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+@pytest.mark.parametrize("published", [-1, 2**64, 1.7e18])
+def test_times_of_publishing_that_no_log_can_hold_are_refused(tmp_path: Path, name: str, published: Any) -> None:
+    with LogWriter(tmp_path / name) as log:
+        log.write_raw("/words", STRING, text("kept"), START, 2**64 - 1)
+        with pytest.raises(BagError, match=r"message on /words published at .* ns; expected whole nanoseconds from 0"):
+            log.write_raw("/words", STRING, text("none"), START, published)
+    with open_log(tmp_path / name) as log:
+        assert [(entry.stamp, entry.published) for entry in log.messages()] == [(START, 2**64 - 1)]
+
+
 @pytest.mark.parametrize("use_chunking", [True, False])
 @pytest.mark.parametrize("beyond", [LAST + 1, 2**64 - 1])
 def test_a_message_beyond_is_told_and_the_rest_is_as_if_it_were_not_there(

@@ -28,6 +28,14 @@ def check_log_time(stamp: int, topic: str, path: Path) -> None:
         raise BagError(f"{path}: message on {topic} at {stamp} ns; expected a log time from {RANGE}")
 
 
+def check_published(stamp: int, topic: str, path: Path) -> None:
+    """Raises `BagError` for a time of publishing that no log can hold; `path`: of the log."""
+    if not isinstance(stamp, Integral) or not 0 <= stamp < 2 * NO_STOP:
+        raise BagError(
+            f"{path}: message on {topic} published at {stamp!r} ns; expected whole nanoseconds from 0 to 2^64 - 1"
+        )
+
+
 @dataclass(frozen=True)
 class Within:
     """What of a log has log times that can be."""

@@ -14,7 +14,7 @@ from rosbags.interfaces import Qos
 
 from twin_node.bag.folder_metadata import write_metadata
 from twin_node.bag.log import BagError
-from twin_node.bag.log_times import check_log_time
+from twin_node.bag.log_times import check_log_time, check_published
 from twin_node.bag.mcap_records import library_of
 from twin_node.bag.mcap_stream import Announced, McapStream
 from twin_node.bag.qos import is_latched, profile, stored
@@ -108,13 +108,15 @@ class LogWriter:
         self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int, published_ns: int | None = None
     ) -> None:
         """Writes CDR bytes of a message at a log time in ns, published at that time or another."""
+        published_ns = stamp_ns if published_ns is None else published_ns
         check_log_time(stamp_ns, topic, self.path)
+        check_published(published_ns, topic, self.path)
         if self._closed:
             raise BagError(f"{self.path}: closed already, found another message on {topic}; write it before")
         try:
             if self._topics.get(topic) != msgtype:
                 self.add_topic(topic, msgtype)
-            self._sink.stream.write(topic, data, stamp_ns, stamp_ns if published_ns is None else published_ns)
+            self._sink.stream.write(topic, data, stamp_ns, published_ns)
         except OSError as error:
             raise self._refused(error) from None
 
