@@ -32,6 +32,7 @@ MOST_CHUNK_BYTES = 1 << 30
 MOST_HEADER_BYTES = 1 << 16
 """Of a header: the names of a profile and a library."""
 ZEROS = "found zeros in place of a record"
+WRONG_LENGTH = "a record in it is not as long as it says"
 
 
 @dataclass(frozen=True)
@@ -143,20 +144,26 @@ def opened(record: McapRecord, size: int) -> list[McapRecord]:
 
 
 def _contents(chunk: Chunk) -> Iterator[McapRecord]:
-    """As the mcap package's `breakup_chunk`, which passes over zeros nine by nine and without a word."""
+    """As the mcap package's `breakup_chunk`, which passes over zeros nine by nine and without a word, and takes what is
+    left of a chunk for one message where that has a wrong length."""
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     while stream.count < length:
         opcode, size = stream.read1(), stream.read8()
+        end = stream.count + size
+        if end > length:
+            raise ValueError(WRONG_LENGTH)
         if opcode == Opcode.MESSAGE:
             yield Message.read(stream, size)
         elif opcode == Opcode.CHANNEL:
             yield Channel.read(stream)
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(stream)
-        elif opcode:
-            stream.read(size)
-        else:
+        elif not opcode:
             raise ValueError(ZEROS)
+        if stream.count < end:  # records of other kinds, and fields of later versions
+            stream.read(end - stream.count)
+        if stream.count > end:
+            raise ValueError(WRONG_LENGTH)
 
 
 def messages_in(data: bytes) -> Iterator[Message]:

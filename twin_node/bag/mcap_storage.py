@@ -42,8 +42,8 @@ FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
 
 CRC_BYTES = 4
-MESSAGE_HEAD = Struct("<HIQ")
-"""A message's content begins with its channel, its number and its log time, ns."""
+MESSAGE_HEAD = Struct("<HIQQ")
+"""Of a message's content all but its data: its channel, its number, its log time and that of publishing, ns."""
 CHUNK_TIMES = Struct("<QQ")
 """A chunk's content begins with the first and the last log time of its messages, ns."""
 LOOSE_PART_BYTES = 1 << 20
@@ -275,7 +275,9 @@ class McapStorage:
             else:
                 self._add_part(index, frame, stamps)
         elif frame.opcode == Opcode.MESSAGE:
-            channel, _, stamp = self._head(frame, MESSAGE_HEAD)
+            if frame.size < RECORD_HEAD.size + MESSAGE_HEAD.size:
+                raise ValueError("a message is shorter than any")
+            channel, _, stamp, _ = self._head(frame, MESSAGE_HEAD)
             index.counts[channel] += 1
             _append_loose(index, Part(self, stamp, stamp, frame.start, frame.size))
         elif frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT):
