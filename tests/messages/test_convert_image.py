@@ -261,6 +261,13 @@ def test_quantised_inverse_depth_of_compressed_depth_transport() -> None:
             ),
             "one 16-bit channel",
         ),
+        (
+            replace(
+                compressed_depth_image("cam", STAMP, np.ones((4, 4), np.float32)),
+                data=np.append(np.zeros(12, np.uint8), cv2.imencode(".tiff", -np.ones((4, 4), np.float32))[1]),
+            ),
+            "one 16-bit channel, found float32",
+        ),
     ],
 )
 def test_depth_that_is_none_is_refused(message: Message, words: str) -> None:

@@ -229,13 +229,13 @@ def _decode_compressed_rgb(message: Message) -> UInt8:
 def _decode_compressed_depth(message: Message) -> Float32:
     data = message.data
     if bytes(data[:4]) in (PNG_SIGNATURE, *TIFF_SIGNATURES):
-        found = _decode_depth(message, data)
+        found = _decode_depth(message, data, np.uint16, np.float32)
         return _known(found) if found.dtype == np.float32 else _metres(found)
     if len(data) <= COMPRESSED_DEPTH_HEADER.size:
         raise DamagedError(f"{_name(message)}: {len(data)} bytes are no compressedDepth image; the frame is damaged")
     _, a, b = COMPRESSED_DEPTH_HEADER.unpack(bytes(data[: COMPRESSED_DEPTH_HEADER.size]))
     packed = data[COMPRESSED_DEPTH_HEADER.size :]
-    values = _rvl(message, packed) if message.format.endswith("rvl") else _decode_depth(message, packed)
+    values = _rvl(message, packed) if message.format.endswith("rvl") else _decode_depth(message, packed, np.uint16)
     if not message.format.startswith("32FC1"):
         return _metres(values)
     with np.errstate(divide="ignore"):
@@ -280,10 +280,10 @@ def _rvl(message: Message, data: UInt8) -> NDArray[np.uint16]:
         raise DamagedError(f"{_name(message)}: expected depth in RVL, found {error}; the frame is damaged") from None
 
 
-def _decode_depth(message: Message, data: UInt8) -> NDArray[Any]:
-    """Depth [H, W] of 16 bits, or of floating-point numbers."""
+def _decode_depth(message: Message, data: UInt8, *kinds: type[np.generic]) -> NDArray[Any]:
+    """Depth [H, W] of numbers of one of these kinds: 16 bits, or floating-point ones."""
     decoded = _decode(message, data, cv2.IMREAD_UNCHANGED)
-    if decoded.ndim != 2 or decoded.dtype not in (np.uint16, np.float32):
+    if decoded.ndim != 2 or decoded.dtype not in kinds:
         raise MessageError(
             f"{_name(message)}: expected a depth image of one 16-bit channel, found {decoded.dtype} of shape "
             f"{decoded.shape}; give the depth topic"
