@@ -219,6 +219,32 @@ def test_sqlite_messages_without_content_are_damage(tmp_path: Path) -> None:
         assert "without time or content" in log.damage
 
 
+def test_sqlite_messages_of_no_topic_are_missed_aloud(tmp_path: Path) -> None:
+    """As in MCAP files; they were gone without a word."""
+    path = sqlite_bag(tmp_path / "bag")
+    with sqlite3.connect(path) as file:
+        file.execute(f"UPDATE messages SET topic_id = 7 WHERE timestamp > {START + 5}")
+    with open_log(path) as log:
+        assert [entry.stamp for entry in log.messages()] == [START + number for number in range(6)]
+        assert log.damage == (f"{path}: {COUNT - 6} messages of topics that nothing undamaged names; read without them")
+
+
+def test_sqlite_messages_out_of_order_are_damage(tmp_path: Path) -> None:
+    """Times are read from the index, and one with other times in it gave messages back in its own order."""
+    path = sqlite_bag(tmp_path / "bag")
+    content = path.read_bytes()
+    with sqlite3.connect(path) as file:
+        [[page]] = file.execute("SELECT rootpage FROM sqlite_master WHERE name = 'timestamp_idx'")
+    index, time = content[(page - 1) * 4096 : page * 4096], struct.pack(">q", START + 9)
+    assert index.count(time) == 1
+    other = index.replace(time, struct.pack(">q", START + 4))
+    path.write_bytes(content.replace(index, other))
+    with open_log(path) as log:
+        assert [entry.stamp for entry in log.messages()] == [START + number for number in range(9)]
+        assert log.damage is not None
+        assert f"damaged after the message at {START + 8} ns (a message on /text at {START + 4} ns, " in log.damage
+
+
 @pytest.mark.parametrize("form", ["unknown", ""])
 def test_an_sqlite_file_with_a_type_that_nobody_could_define_is_read(tmp_path: Path, form: str) -> None:
     """So rosbag2 writes a type whose package it does not find: nothing of the whole file could be read."""

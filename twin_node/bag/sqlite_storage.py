@@ -13,6 +13,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 
 from twin_node.bag.log import BagError, Channel, DamageError, Part, Record
 from twin_node.bag.log_times import NO_STOP
+from twin_node.errors import several
 
 MAGIC = b"SQLite format 3\x00"
 ENDING = ".db3"
@@ -33,6 +34,8 @@ class SqliteStorage:
                 self._reader = Reader(plain)
                 self._reader.open()
             self._check()
+            named = sum(connection.msgcount for connection in self._reader.connections)
+            self._nameless = self._reader.message_count - named
         except OSError:
             raise
         except Exception as error:  # names and policies that are none are met in rosbags, SQLite and the YAML parser
@@ -79,14 +82,21 @@ class SqliteStorage:
 
     @property
     def damage(self) -> str | None:
-        """A write-ahead log beside the file, whose recorder was killed; other damage shows when the file is read."""
+        """Messages that are of none of the file's topics, and a write-ahead log beside it, whose recorder was killed.
+
+        Other damage shows when the file is read.
+        """
+        lines = []
+        if self._nameless > 0:  # below it, the index leads to fewer than there are
+            count = several(self._nameless, "message")
+            lines.append(f"{self._told}: {count} of topics that nothing undamaged names; read without them")
         ahead = self._path.with_name(f"{self._path.name}-wal")
-        if not (ahead.is_file() and ahead.stat().st_size):
-            return None
-        return (
-            f"{ahead}: its recorder was killed, and the last messages, which are still in here, are not read; take "
-            f"them over with: sqlite3 '{self._path}' 'PRAGMA wal_checkpoint(TRUNCATE)'"
-        )
+        if ahead.is_file() and ahead.stat().st_size:
+            lines.append(
+                f"{ahead}: its recorder was killed, and the last messages, which are still in here, are not read; take "
+                f"them over with: sqlite3 '{self._path}' 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            )
+        return " | ".join(lines) or None
 
     def records(self, part: Part, topics: Collection[str] | None, start: int, stop: int) -> Iterator[Record]:
         """Messages of the file in log-time order; raises `DamageError` at the first page that SQLite cannot read."""
@@ -98,9 +108,12 @@ class SqliteStorage:
         is_all = start <= self._reader.start_time and stop >= self._reader.end_time
         while True:
             try:
-                connection, stamp, data = next(messages)
-                if not (isinstance(stamp, int) and isinstance(data, bytes)):
+                connection, told, data = next(messages)
+                if not (isinstance(told, int) and isinstance(data, bytes)):
                     raise ReaderError(f"a message on {connection.topic} without time or content")
+                if not stamp <= told < stop:
+                    raise ReaderError(f"a message on {connection.topic} at {told} ns, out of order")
+                stamp = told
             except StopIteration:
                 break
             except Exception as error:  # what was read stands; SQLite bindings raise classes of their own
