@@ -29,6 +29,16 @@ def test_only_a_latched_topic_reaches_a_late_subscriber() -> None:
     assert seen == [2]
 
 
+@pytest.mark.parametrize("is_latched", [True, False])
+def test_who_subscribes_while_a_message_is_delivered_is_given_it_once_or_not_at_all(is_latched: bool) -> None:
+    bus, seen = LocalBus(lambda _: is_latched), []
+    bus.subscribe("/map", lambda message: bus.subscribe("/map", seen.append) if message == 1 else None)
+    bus.publish("/map", 1)
+    assert seen == ([1] if is_latched else [])
+    bus.publish("/map", 2)
+    assert seen == [*([1] if is_latched else []), 2]
+
+
 def test_a_failing_callback_reaches_the_publisher_and_leaves_the_bus_usable() -> None:
     bus, seen = LocalBus(), []
 

@@ -56,5 +56,5 @@ class LocalBus:
     def _deliver(self, topic: str, message: Any) -> None:
         if self._is_latched(topic):
             self._last[topic] = message
-        for callback in self._callbacks.get(topic, ()):
+        for callback in tuple(self._callbacks.get(topic, ())):  # who comes meanwhile has it, if it is latched
             callback(message)
