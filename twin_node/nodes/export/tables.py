@@ -22,7 +22,8 @@ POSE_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 def write_tables(moments: Moments, path: Path) -> None:
     """A folder with `obstacles.csv`, a row per obstacle in force at each moment, and `arm.csv`.
 
-    The latter has a row per moment: joint angles, and the pose of the last link in `base_link`.
+    The latter has a row per moment at which the joints are known: their angles, and the pose of the last link in
+    `base_link`.
     """
     path.mkdir()
     with (
