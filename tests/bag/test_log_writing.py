@@ -232,6 +232,20 @@ def test_what_cannot_be_made_again_is_not_replaced(tmp_path: Path, kind: str) ->
     assert (path.read_bytes(), [one.name for one in tmp_path.iterdir()]) == (before, ["log.mcap"])
 
 
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+def test_a_recording_that_was_begun_meanwhile_is_not_replaced(tmp_path: Path, name: str) -> None:
+    """What was written, and could be again, took the place of what had happened once."""
+    log = LogWriter(tmp_path / name)
+    log.write("/a", text("made again"), 0)
+    with RecordingWriter(tmp_path / name) as recording:
+        recording.write("/a", STRING, serialize(text("happened once")), 0, builtin_types())
+    with pytest.raises(BagError, match=rf"{name}: .*choose another"):
+        log.close()
+    with open_log(tmp_path / name) as reader:
+        assert [m.message.data for m in reader.messages()] == ["happened once"]
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+
+
 def test_messages_of_one_topic_are_asked_for_by_its_name(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "log.mcap") as log:
         log.write("/a", text("a"), 0)

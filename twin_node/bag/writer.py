@@ -49,10 +49,11 @@ class LogWriter:
     """Writes a log by stream; use it as a context manager.
 
     `path` ends in `.mcap` for one MCAP file, or has no suffix for a new rosbag2 folder. An `.mcap` file that is empty,
-    or that a `LogWriter` made, is replaced at the end; any other is refused: a recording cannot be made again. All goes
-    to a sibling ending in `.partial`, which takes the name when the log is closed; if the context ends with an
-    exception it is removed, and whatever stood at `path` is untouched. A sibling that is there already is another
-    writer's, or all that is left of a log whose writer was killed: it is refused. The same calls give the same bytes.
+    or that a `LogWriter` made, is replaced at the end; any other is refused, at the beginning and then: a recording
+    cannot be made again. All goes to a sibling ending in `.partial`, which takes the name when the log is closed; if
+    the context ends with an exception it is removed, and whatever stood at `path` is untouched. A sibling that is there
+    already is another writer's, or all that is left of a log whose writer was killed: it is refused. The same calls
+    give the same bytes.
 
     `compression` of the chunks: none by default, as `ros2 bag record`, because images are compressed. `recorded`: what
     is written happened once, and no other writer is to replace it.
@@ -141,9 +142,9 @@ class LogWriter:
         self._closed = True
         try:
             self._sink.commit()
-        except OSError as error:
+        except (BagError, OSError) as error:
             self._sink.abort()
-            raise self._refused(error) from None
+            raise (self._refused(error) if isinstance(error, OSError) else error) from None
 
     def abort(self) -> None:
         """Throws away what was written; a call after `close` does nothing."""
@@ -211,6 +212,7 @@ class _FileSink:
     def commit(self) -> None:
         self.stream.finish()
         self._file.close()
+        _refuse_recording(self._path)  # one may have been begun there meanwhile
         self._partial.replace(self._path)
 
     def abort(self) -> None:
