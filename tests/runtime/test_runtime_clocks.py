@@ -75,6 +75,25 @@ def test_a_pace_is_learnt_anew_where_the_log_goes_on_elsewhere(steady: Steady) -
         assert clock.now() == (start + 30) * MS
 
 
+def test_a_pace_that_changes_is_followed(steady: Steady) -> None:
+    clock, told = FollowedClock(), 1_000 * MS
+    for step in (10, 5):
+        for _ in range(FollowedClock.KEPT):
+            told += step * MS
+            clock.set(told)
+            steady.now += 10 * MS
+        assert clock.now() == told + step * MS
+
+
+def test_a_paused_log_that_tells_the_same_time_again_does_not_begin_again(steady: Steady) -> None:
+    jumps = []
+    clock = FollowedClock(lambda: jumps.append(clock.now()))
+    for _ in range(FollowedClock.KEPT):
+        clock.set(9_000 * MS)
+        steady.now += 10 * MS
+    assert (clock.now(), jumps) == (9_000 * MS, [])
+
+
 def test_a_log_that_begins_again_is_told(steady: Steady) -> None:
     jumps = []
     clock = FollowedClock(lambda: jumps.append(clock.now()))
@@ -124,13 +143,14 @@ def wall(steady: Steady, monkeypatch: pytest.MonkeyPatch) -> Wall:
     return wall
 
 
-def test_a_computers_clock_that_is_put_back_is_told_once(steady: Steady, wall: Wall) -> None:
+@pytest.mark.parametrize("back", [200, 3_600_000])
+def test_a_computers_clock_that_is_put_back_is_told_once(steady: Steady, wall: Wall, back: int) -> None:
     jumps: list[int] = []
     clock = SystemClock(lambda: jumps.append(steady.now))
     for _ in range(3):
         steady.now += 20 * MS
         assert clock.now() == wall.time_ns()
-    wall.ahead -= 3_600_000 * MS
+    wall.ahead -= back * MS
     assert clock.now() == wall.time_ns()
     assert jumps == [steady.now]
     steady.now += 20 * MS
