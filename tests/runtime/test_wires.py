@@ -85,6 +85,7 @@ def test_threads_of_a_process_share_messages_by_reference() -> None:
     assert listener.bus.is_waiting("/record") and not listener.bus.is_waiting("/other")
     assert listener.wait() is record
     assert listener.bus.dropped("/record") == 3 and not listener.bus.is_waiting("/record")
+    assert [(one.received, one.dropped) for one in listener.bus.traffic] == [(4, 3)]
 
 
 def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() -> None:
@@ -102,12 +103,9 @@ def test_renamed_topics_meet_under_the_name_on_the_wire_and_keep_their_kind() ->
 
 
 def test_a_bus_may_end_after_its_wire() -> None:
-    """As where the main thread has ended and closed the wires that were open still."""
-    wire = LocalWire()
-    listener = Side(wire, "listener")
+    listener = Side(wire := LocalWire(), "listener")
     listener.listen("/record")
     wire.close()
-    listener.bus.close()
     listener.bus.close()
 
 
@@ -179,7 +177,7 @@ def test_bytes_are_decoded_where_they_arrive_and_damage_is_counted() -> None:
     wire = LocalWire()
     talker, listener, recorder = Side(wire, "talker"), Side(wire, "listener"), Side(wire, "recorder")
     listener.listen("/chatter")
-    recorder.bus.subscribe_raw("/chatter", recorder.seen.append)
+    cancel = recorder.bus.subscribe_raw("/chatter", recorder.seen.append)
     talker.bus.publish("/chatter", encoded(text("as bytes")))
     assert listener.wait().data == "as bytes"
     assert isinstance(recorder.wait(), Encoded)
@@ -188,6 +186,9 @@ def test_bytes_are_decoded_where_they_arrive_and_damage_is_counted() -> None:
     [traffic] = listener.bus.traffic
     assert (traffic.received, traffic.unreadable) == (2, 1)
     assert traffic.last_error is not None and STRING in traffic.last_error
+    listener.bus.close()
+    cancel()
+    assert not talker.bus.is_heard("/chatter")
 
 
 def test_what_a_node_refuses_does_not_end_it() -> None:
