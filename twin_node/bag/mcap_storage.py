@@ -42,6 +42,8 @@ FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
 """A footer record: opcode, length, two offsets, checksum (MCAP format, Footer)."""
 
 CRC_BYTES = 4
+DATA_END_BYTES = 1 + 8 + CRC_BYTES
+"""A data end record: opcode, length, checksum."""
 MESSAGE_HEAD = Struct("<HIQQ")
 """Of a message's content all but its data: its channel, its number, its log time and that of publishing, ns."""
 CHUNK_TIMES = Struct("<QQ")
@@ -240,7 +242,7 @@ class McapStorage:
         try:
             for record in indexed(frames(self._file, start, size)):
                 frame = record.frame
-                if frame.opcode == Opcode.DATA_END:
+                if frame.opcode == Opcode.DATA_END and frame.size == DATA_END_BYTES:
                     break
                 if start == len(MAGIC) and not is_header(parsed(self._file, frame), frame.size):
                     raise ValueError("it does not begin with a header")
@@ -356,12 +358,17 @@ def _complete(summary: Summary, statistics: Statistics) -> bool:
         len(summary.chunk_indexes) == statistics.chunk_count
         and (statistics.chunk_count > 0 or statistics.message_count == 0)
         and bool(statistics.channel_message_counts or statistics.message_count == 0)
-        and all(_tells_its_time(chunk) for chunk in summary.chunk_indexes)
+        and all(_tells_its_time(chunk, statistics) for chunk in summary.chunk_indexes)
         and all(channel in summary.channels for channel in statistics.channel_message_counts)
         and all(not channel.schema_id or channel.schema_id in summary.schemas for channel in summary.channels.values())
     )
 
 
-def _tells_its_time(chunk: ChunkIndex) -> bool:
-    """Whether a chunk's times are those of messages: of one without any they are 0 (MCAP format, Chunk)."""
-    return bool(chunk.message_start_time or chunk.message_end_time or chunk.message_index_offsets)
+def _tells_its_time(chunk: ChunkIndex, statistics: Statistics) -> bool:
+    """Whether a chunk's times are those of messages: of one without any they are 0 (MCAP format, Chunk).
+
+    Damaged ones, where no checksum tells, lie outside of the log's.
+    """
+    first, last = chunk.message_start_time, chunk.message_end_time
+    is_any = bool(first or last or chunk.message_index_offsets)
+    return is_any and statistics.message_start_time <= first <= last <= statistics.message_end_time

@@ -1,12 +1,15 @@
-"""Records of MCAP files whose lengths are damaged, where no checksum tells: as rosbag2's preset fastwrite has them."""
+"""Records of MCAP files that are damaged where no checksum tells: rosbag2's preset fastwrite writes none."""
 
 from __future__ import annotations
 
+import io
+import struct
 from pathlib import Path
 
 import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Chunk, Message, Schema
 from mcap.writer import CompressionType, Writer
 
@@ -67,6 +70,32 @@ def test_messages_before_one_with_a_wrong_length_are_read(tmp_path: Path, length
     with open_log(path) as log:
         assert [message.stamp for message in log.messages()] == list(range(DAMAGED))
         assert log.damage is not None and "log.mcap: damaged at byte" in log.damage
+
+
+@pytest.mark.parametrize("start", [2**63, 2**64 - 1, PER_CHUNK + 5])
+def test_times_that_are_none_of_the_log_s_lose_no_chunk(tmp_path: Path, start: int) -> None:
+    """In the summary: a chunk that began after its end held nothing, and was passed over without a word."""
+    path = tmp_path / "log.mcap"
+    content = written(path, use_chunking=True)
+    summary = make_reader(io.BytesIO(content)).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[0]
+    told = struct.pack("<QQQ", 0, PER_CHUNK - 1, chunk.chunk_start_offset)
+    assert content.count(told) == 1
+    path.write_bytes(content.replace(told, struct.pack("<Q", start) + told[8:]))
+    with open_log(path) as log:
+        assert [message.stamp for message in log.messages()] == list(range(COUNT))
+        assert (log.start_ns, log.damage) == (0, None)
+
+
+def test_no_other_record_ends_a_log_without_its_end(tmp_path: Path) -> None:
+    """One bit made a message index the end of the data: what came after it was missed in silence."""
+    path = tmp_path / "log.mcap"
+    content = written(path, use_chunking=True)[:-20]
+    at = content.index(struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + 16 * PER_CHUNK, 1, 16 * PER_CHUNK))
+    path.write_bytes(content[:at] + bytes([Opcode.DATA_END]) + content[at + 1 :])
+    with open_log(path) as log:
+        assert [message.stamp for message in log.messages()] == list(range(COUNT))
 
 
 def test_records_of_later_versions_are_read() -> None:
