@@ -199,6 +199,7 @@ def test_obstacles_of_older_logs_say_neither_their_experts_nor_how_far_they_get(
     )
     message = c.obstacles_to_message(one)
     later = ("expert", "reach_speed", "reach_delay")
+    assert [getattr(message.obstacles[0], name) for name in later] == [MotionExpert.NO_EXPERT, 0, 0]
     fields = {name: value for name, value in vars(message.obstacles[0]).items() if name not in later}
     old = c.obstacles_from_message(replace(message, obstacles=[SimpleNamespace(**fields)]))
     assert old.experts is not None and old.experts.tolist() == [MotionExpert.NO_EXPERT]
