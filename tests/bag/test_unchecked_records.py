@@ -88,6 +88,16 @@ def test_times_that_are_none_of_the_log_s_lose_no_chunk(tmp_path: Path, start: i
         assert (log.start_ns, log.damage) == (0, None)
 
 
+def test_counts_in_a_summary_that_do_not_add_up_are_counted_anew(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    content = written(path, use_chunking=True)
+    told = struct.pack("<IHQ", 10, 1, COUNT)
+    assert content.count(told) == 1
+    path.write_bytes(content.replace(told, struct.pack("<IHQ", 10, 1, 1 << 60)))
+    with open_log(path) as log:
+        assert [topic.count for topic in log.topics] == [COUNT]
+
+
 def test_no_other_record_ends_a_log_without_its_end(tmp_path: Path) -> None:
     """One bit made a message index the end of the data: what came after it was missed in silence."""
     path = tmp_path / "log.mcap"

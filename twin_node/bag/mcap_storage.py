@@ -357,7 +357,7 @@ def _complete(summary: Summary, statistics: Statistics) -> bool:
     return (
         len(summary.chunk_indexes) == statistics.chunk_count
         and (statistics.chunk_count > 0 or statistics.message_count == 0)
-        and bool(statistics.channel_message_counts or statistics.message_count == 0)
+        and sum(statistics.channel_message_counts.values()) == statistics.message_count
         and all(_tells_its_time(chunk, statistics) for chunk in summary.chunk_indexes)
         and all(channel in summary.channels for channel in statistics.channel_message_counts)
         and all(not channel.schema_id or channel.schema_id in summary.schemas for channel in summary.channels.values())
