@@ -20,7 +20,17 @@ from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.report.quality import Renderings, score
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.scene import HORIZONS_NS, Camera, Exposure, FrameSet, GaussianCloud, NodeStates, TwinState, View
+from twin_node.scene import (
+    HORIZONS_NS,
+    Camera,
+    Exposure,
+    FrameSet,
+    GaussianCloud,
+    JointSample,
+    NodeStates,
+    TwinState,
+    View,
+)
 
 SMALL = ChainParameters(
     synchronizer=SynchronizerParameters(width=64, max_rate_hz=20), model=ModelParameters(seed=SeedParameters(steps=10))
@@ -42,6 +52,23 @@ def test_passes_to_and_fro_have_rising_stamps_and_the_same_images() -> None:
     assert [frames.views[0].rgb is sets[2].views[0].rgb for frames in passes[1]] == [True, False, False]
     apart = {a.views[0].stamp - a.views[1].stamp for a in passes[1]}
     assert apart == {-10, 10}
+
+
+def test_passes_to_and_fro_have_the_arm_where_the_images_show_it() -> None:
+    """Its joints kept their first stamps, so that the mask of an arm that moves ran away from it, pass by pass."""
+    speed = np.array([0.5, -2.0])
+
+    def sample(stamp: int) -> JointSample:
+        return JointSample(stamp, ("a", "b"), 1e-9 * stamp * speed, speed)
+
+    sets = [replace(stamped(stamp - 7, stamp), joints=sample(stamp + 5)) for stamp in (100, 200, 300)]
+    for index, one in enumerate(to_and_fro(sets, 4)):
+        passed = list(one)
+        for frames, before in zip(passed if index % 2 == 0 else passed[::-1], sets, strict=True):
+            assert frames.joints is not None
+            for view, own in zip(frames.views, before.views, strict=True):
+                there = frames.joints.at(view.stamp).positions
+                assert np.allclose(there, 1e-9 * own.stamp * speed, rtol=0, atol=1e-12)
 
 
 def shown(ours: float, image: float, first: float, stamp: int) -> Renderings:

@@ -111,14 +111,19 @@ def to_and_fro(sets: Sequence[FrameSet], passes: int) -> Iterator[Iterator[Frame
 
 
 def _passed(sets: Sequence[FrameSet], shift_ns: int, backward: bool) -> Iterator[FrameSet]:
-    """The sets `shift_ns` later; backward, their times mirrored between the first and the last."""
+    """The sets `shift_ns` later; backward, their times mirrored between the first and the last, the arm's way too."""
     low, high = min(view.stamp for view in sets[0].views), sets[-1].stamp
+
+    def moved(stamp: int) -> int:
+        return (low + high - stamp if backward else stamp) + shift_ns
+
     for frames in reversed(sets) if backward else sets:
-        views = tuple(
-            dataclasses.replace(view, stamp=(low + high - view.stamp if backward else view.stamp) + shift_ns)
-            for view in frames.views
-        )
-        yield dataclasses.replace(frames, stamp=max(view.stamp for view in views), views=views)
+        views = tuple(dataclasses.replace(view, stamp=moved(view.stamp)) for view in frames.views)
+        joints = frames.joints
+        if joints is not None:
+            velocities = -joints.velocities if backward else joints.velocities
+            joints = dataclasses.replace(joints, stamp=moved(joints.stamp), velocities=velocities)
+        yield dataclasses.replace(frames, stamp=max(view.stamp for view in views), views=views, joints=joints)
 
 
 def follow_live(
