@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,24 @@ def test_a_size_that_there_is_none_of_is_refused_before_anything_is_measured(
 def test_images_tell_when_each_run_began(demo: Scenario) -> None:
     assert list(begins(np.array(evidence(demo)), demo)) == list(RUNS)
     assert list(begins(np.arange(40, dtype=np.int64) * 33_333_333 + FIRST_NS, demo)) == []
+
+
+def test_some_images_at_the_times_of_another_beginning_make_no_run(demo: Scenario) -> None:
+    """Where images come nearly evenly some do: people were taken to be where they were in a run that never was."""
+    even = replace(demo, sensing=replace(demo.sensing, jitter_ms=0.01))
+    stamps = [exposure.stamp - even.start_ns for exposure in SimulatedRig(even).exposures()]
+    told = np.unique([begun + stamp for begun in RUNS for stamp in stamps])
+    assert list(begins(told, even)) == list(RUNS)
+
+
+def test_a_scenario_whose_images_come_evenly_is_refused_before_it_is_launched(
+    demo: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    even = replace(demo, sensing=replace(demo.sensing, jitter_ms=0.0))
+    monkeypatch.setattr(graph_live, "load_scenario", lambda name: even)
+    monkeypatch.setattr(graph_live, "running", lambda plan: pytest.fail("it was launched"))
+    with pytest.raises(BenchError, match=r"expected sensing\.jitter_ms above 0"):
+        graph_live.live(1.0, "demo")
 
 
 def test_an_arm_on_its_program_comes_near_the_hand_and_does_not_touch_it(demo: Scenario) -> None:

@@ -72,9 +72,15 @@ class Heard:
 def live(seconds: float, scenario: str = "demo", size: str = SizeChoice.AUTO.value) -> LiveFigures:
     """Launches the simulated cell, lets it settle, and listens for so long.
 
-    `size`: of the model, a `SizeChoice`. Raises `BenchError` for another, and where the launch is silent.
+    `size`: of the model, a `SizeChoice`. Raises `BenchError` for another, for a scenario whose images do not tell when
+    it began, and where the launch is silent.
     """
     check_size(size)
+    if not load_scenario(scenario).sensing.jitter_ms:
+        raise BenchError(
+            f"--scenario {scenario}: expected sensing.jitter_ms above 0, for the images' uneven times tell when a run "
+            "began, found 0; give it 1.0 for example"
+        )
     arguments = [f"scenario:={scenario}", f"model:={_MODEL}", f"host:={free_loopback()}"]
     plan = read_launch_file("launch/sim_cell.yaml", arguments, [f"size.name:={size}"])
     heard = Heard()
@@ -126,11 +132,16 @@ def figures_of(heard: Heard, scenario: Scenario) -> LiveFigures:
 def begins(evidence: NDArray[np.int64], scenario: Scenario) -> Sequence[int]:
     """When each run of the scenario began, ns, by the stamps of the images that evidence ends with.
 
-    A run's images are at the same nanoseconds after its beginning in every run, and at no other's.
+    A run's images are at the same nanoseconds after its beginning in every run, which are uneven: of other beginnings a
+    few images at most may seem to be. One run begins when the one before is over.
     """
     after = np.array([exposure.stamp for exposure in SimulatedRig(scenario).exposures()]) - scenario.start_ns
     found, counts = np.unique(evidence[:, None] - after, return_counts=True)
-    return [int(begun) for begun in found[counts >= _SAME_RUN]]
+    span, runs = int(scenario.duration_s * 1e9), list[int]()
+    for row in np.argsort(-counts, kind="stable")[: np.count_nonzero(counts >= _SAME_RUN)]:
+        if all(abs(int(found[row]) - other) >= span for other in runs):
+            runs.append(int(found[row]))
+    return sorted(runs)
 
 
 def _speeds(model: ArmModel, q: Float64, steps_s: Float64) -> Float64:
