@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from twin_node import resources
-from twin_node.bench import cell
+from twin_node.bench import cell, cell_scores
 from twin_node.bench.cell_case import PERFECT, CellCase
 from twin_node.bench.cell_picture import draw
 from twin_node.bench.cell_scores import score
@@ -123,6 +123,17 @@ def test_slow_downs_are_timed_from_the_entry(short: FilePath) -> None:
     assert outcome.unanswered == 0
     assert len(outcome.delays_s) >= 1
     assert all(0 <= delay <= 0.053 for delay in outcome.delays_s)
+
+
+def test_an_entry_between_two_decisions_is_found_to_a_step(short: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of decisions more than two steps apart, steps were passed over, and entries were told some steps late."""
+    case = CellCase(load_scenario(short), 33.0, LoopParameters(decision_steps=6))
+    still = held(case, 0.0, 1.0)
+    record = replace(still, told=np.where(np.arange(len(still.told)) < 30, 1.0, 0.5))
+    for entry in range(13, 19):
+        monkeypatch.setattr(cell_scores, "_is_forbidden", lambda _case, _record, row, entry=entry: row >= entry)
+        outcome = score(case, record, with_delays=True)
+        assert outcome.delays_s == pytest.approx(((30 - entry) * STEP_NS * 1e-9,))
 
 
 def test_what_cannot_be_run_is_refused(short: FilePath, refused: Callable[..., str]) -> None:

@@ -141,10 +141,10 @@ def _delays(case: CellCase, record: LoopRecord) -> Float64:
 
 def _delay(case: CellCase, record: LoopRecord, entry: int) -> float:
     """Time from an entry, known to a step, to the command that was slower than the one before it."""
-    for earlier in range(1, case.parameters.decision_steps):
-        if not _is_forbidden(case, record, entry - earlier):
+    for row in range(entry - 1, entry - case.parameters.decision_steps, -1):
+        if not _is_forbidden(case, record, row):
             break
-        entry -= 1
+        entry = row
     last = min(entry + int(_AWAIT_S * 1e9 / STEP_NS), len(record.told) - 1)
     slower = np.flatnonzero(record.told[entry : last + 1] < _told_before(record, entry) - _SLOWER)
     return float(slower[0]) * STEP_NS * 1e-9 if len(slower) else np.inf
