@@ -131,6 +131,7 @@ def test_what_the_user_got_wrong_is_named(small: Path, arguments: list[str], par
         ("nodes: [arm]", "nodes: [player]", "node 'player' is in two processes, play and arm"),
         ("nodes: [player]", "nodes: [player, player]", "node 'player' is in process 'play' twice"),
         ("rate: {default: 1.0}", "rate: 1.0", "argument 'rate': expected 'default', 'help' and 'choices', found 1.0"),
+        ("{default: twin}", "{default: $(var how)}", r"argument 'who': default: \$\(var how\): no such argument"),
         ("[fast, slow]", "fast", "argument 'how': choices: expected a list of texts, found 'fast'"),
         ("[fast, slow]", "[1, 2]", "argument 'how': choices: expected a list of texts, found a list"),
         ("[fast, slow]", "[slow]", "argument 'how': default: expected one of slow, found 'fast'"),
@@ -195,6 +196,27 @@ def test_arguments_have_their_defaults_where_a_launch_file_gives_parameters_alon
     assert load_parameters(other).arm.model == "ur3e"
     plan = read_launch_file(small, ["log:=a.mcap"], [], [other])
     assert plan.sections["arm"] == {"model": "ur3e", "joints": ["ur3e_a"]}
+
+
+def test_a_default_may_hold_arguments_that_stand_before_it(small: Path) -> None:
+    """They were left as they stand: a recorder wrote into a folder of the name `$(var log)_twin`."""
+    held = "{default: $(var rate)}\n    out: {default: $(var log)_$(var who)}"
+    small.write_text(SMALL.replace("how: {default: fast, choices: [fast, slow]}", f"pace: {held}"))
+    with small.open("a") as file:
+        file.write("recorder:\n  ros__parameters: {output: $(var out), split: {max_bag_size: $(var pace)}}\n")
+    recorder = read_launch_file(small, ["log:=a", "rate:=2"]).sections["recorder"]
+    assert recorder == {"output": "a_twin", "split": {"max_bag_size": 2.0}}
+    recorder = read_launch_file(small, ["out:=b", "pace:=5", "log:=a"]).sections["recorder"]
+    assert recorder == {"output": "b", "split": {"max_bag_size": 5.0}}
+
+
+def test_defaults_hold_one_another_where_a_launch_file_gives_parameters_alone(small: Path) -> None:
+    arguments = "    size: {default: 3}\n    arm: {default: ur$(var size)e}\n  processes:"
+    small.write_text(f"{SMALL}arm:\n  ros__parameters: {{model: $(var arm)}}\n".replace("  processes:", arguments))
+    assert load_parameters(small).arm.model == "ur3e"
+    small.write_text(small.read_text().replace("ur$(var size)e", "$(var log)"))
+    with pytest.raises(TwinError, match="the argument 'log' has no default"):
+        load_parameters(small)
 
 
 @pytest.mark.parametrize("value", ["model: $(var log)", "joints: [a, b_$(var log)]", "limiter: {x: $(var log)}"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,18 +95,29 @@ def _check_choice(argument: Argument, value: Any, where: str) -> None:
 def values_given(arguments: Sequence[Argument], given: Sequence[str], path: Path) -> dict[str, Any]:
     """The value of each argument, `name:=value` for those given. Raises `GraphError` for unknown and missing ones."""
     known = {argument.name: argument for argument in arguments}
-    values: dict[str, Any] = {argument.name: argument.default for argument in arguments}
+    texts: dict[str, str] = {}
     for text in given:
         name, separator, value = text.partition(":=")
         if not separator:
             raise GraphError(f"{text}: expected NAME:=VALUE, for example log:=run.mcap")
         if name not in known:
             raise GraphError(f"{path}: unknown argument '{name}'; {nearest(name, set(known))}")
-        values[name] = _typed(known[name], value, path)
-    missing = [a.name for a in arguments if a.is_required and not any(g.startswith(f"{a.name}:=") for g in given)]
+        texts[name] = value
+    missing = [name for name, argument in known.items() if argument.is_required and name not in texts]
     if missing:
         hints = "; ".join(f"{name}: {known[name].told}" for name in missing)
         raise GraphError(f"{path}: needs {' and '.join(f'{name}:=VALUE' for name in missing)} ({hints})")
+    return _filled(arguments, texts, path)
+
+
+def _filled(arguments: Sequence[Argument], texts: Mapping[str, str], path: Path) -> dict[str, Any]:
+    """The value of each argument: as given in `texts`, else its default, which those before it may be in; one that is
+    required and not given stands for itself."""
+    values: dict[str, Any] = {}
+    for argument in arguments:
+        name, where = argument.name, f"{path}: argument '{argument.name}': default"
+        default = f"$(var {name})" if argument.is_required else substituted(argument.default, values, where)
+        values[name] = _typed(replace(argument, default=default), texts[name], path) if name in texts else default
     return values
 
 
@@ -155,9 +166,7 @@ def parameters_alone(path: Path) -> dict[str, Mapping[str, Any]]:
     if not isinstance(content, Mapping) or LAUNCH not in content:
         return sections
     arguments = arguments_of(_section_in(content, path), path)
-    required = {argument.name: f"$(var {argument.name})" for argument in arguments if argument.is_required}
-    defaults = {argument.name: argument.default for argument in arguments}
-    filled: dict[str, Mapping[str, Any]] = substituted(sections, defaults | required, path)
+    filled: dict[str, Mapping[str, Any]] = substituted(sections, _filled(arguments, {}, path), path)
     _check_complete({name: filled[name] for name in CHAIN_SECTIONS if name in filled}, str(path))
     return filled
 
@@ -177,8 +186,11 @@ def _check_complete(value: Any, where: str) -> None:
         )
 
 
-def substituted(value: Any, values: Mapping[str, Any], path: Path) -> Any:
-    """What a file says with the values of its arguments in it. Raises `GraphError` for an argument that it has not."""
+def substituted(value: Any, values: Mapping[str, Any], path: Path | str) -> Any:
+    """What a file says with the values of its arguments in it. Raises `GraphError` for an argument that it has not.
+
+    `path`: what errors name.
+    """
     if isinstance(value, dict):
         return {key: substituted(inner, values, path) for key, inner in value.items()}
     if isinstance(value, list):
@@ -191,7 +203,7 @@ def substituted(value: Any, values: Mapping[str, Any], path: Path) -> Any:
     return VARIABLE.sub(lambda match: str(_value_of(match, values, path)), value)
 
 
-def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path) -> Any:
+def _value_of(match: re.Match[str], values: Mapping[str, Any], path: Path | str) -> Any:
     if match[1] not in values:
         raise GraphError(f"{path}: $(var {match[1]}): no such argument; {nearest(match[1], set(values))}")
     return values[match[1]]
