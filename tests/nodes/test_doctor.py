@@ -240,6 +240,31 @@ def test_stamps_for_which_an_arm_stands_are_told(monkeypatch: pytest.MonkeyPatch
     assert found in fault
 
 
+def test_devices_that_tell_their_joints_on_one_topic_are_judged_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two that are sound, side by side, were said to run backwards and to jitter."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    now = time.time_ns()
+    monkeypatch.setattr(time, "time_ns", lambda: now)
+    wire, qos = LocalWire(), replace(LATCHED, depth=100)
+    kind = TopicKind("sensor_msgs/msg/JointState", qos)
+
+    def say(node: str, joint: str, period_ms: float, begun_ms: float) -> None:
+        send = wire.publisher(node, JOINT_STATES, kind)
+        for number in range(20):
+            stamp = now + round(1e6 * (begun_ms + period_ms * number))
+            send(convert.joint_sample_to_message(JointSample(stamp, (joint,), np.zeros(1), np.zeros(1))))
+
+    say("arm", "elbow", 8, -170)
+    say("gripper", "finger", 8, -169)
+    ends = [replace(publisher(node, JOINT_STATES, kind.msgtype), qos=qos) for node in ("arm", "gripper")]
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    found = examine(wire, 0.05)
+    assert found.faults == ()
+    assert "    40    125.00 Hz" in found.lines[0]
+    say("axis", "rail", -8, -10)
+    assert examine(wire, 0.05).faults == (f"{JOINT_STATES}: rail: 19 stamps run backwards",)
+
+
 def test_nodes_of_which_nothing_comes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """After the link to the twin's machine was cut the graph was sound for ten seconds."""
     monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)

@@ -21,6 +21,7 @@ from twin_node.nodes.topics import (
     CLOCK_FOLLOWER,
     DIAGNOSTICS,
     IMAGE_TYPES,
+    JOINT_STATE,
     RECORDED,
     REGULAR_TYPES,
     TRAJECTORY,
@@ -68,7 +69,9 @@ class _Ear:
         self._published = published
         self._clocks = {t: FollowedClock() for t, end in published.items() if _is_own(t, end.msgtype, CLOCK)}
         """By their topics: those of namespaces may be renamed."""
-        self._stamps: dict[str, list[int]] = defaultdict(list)
+        self._stamps: dict[str, dict[tuple[str, ...], list[int]]] = defaultdict(lambda: defaultdict(list))
+        """Of each topic by the names of the joints that they tell: an arm and its gripper share a topic, each at a rate
+        of its own. Of other messages there is one list, without names."""
         self._delays: dict[str, list[int]] = defaultdict(list)
         self._bus = WireBus(wire, executor, "doctor", kind_of)
         for topic, endpoint in published.items():
@@ -80,30 +83,42 @@ class _Ear:
         stamp = time.time_ns()
         if topic in self._clocks:
             self._clocks[topic].set(convert.clock_from_message(message.decode()))
+        joints: tuple[str, ...] = ()
         if message.msgtype in REGULAR_TYPES:
-            taken = header_stamp(message.decode())
+            content = message.decode()
+            taken = header_stamp(content)
+            joints = tuple(content.name) if message.msgtype == JOINT_STATE else ()
             clock = self._clock_of(topic)
             now = stamp if clock is None else self._clocks[clock].now()
             if now:  # the graph's time has been heard
                 self._delays[topic].append(now - taken)
             stamp = taken
-        self._stamps[topic].append(stamp)
+        self._stamps[topic][joints].append(stamp)
         if _is_own(topic, message.msgtype, DIAGNOSTICS):
             found = convert.diagnostics_from_message(message.decode())
             self.newest |= {_full(one.name, topic.removesuffix(DIAGNOSTICS)): one for one in found}
 
     def line(self, topic: str, width: int) -> str:
-        """How often a topic was heard, how old its messages were, and what they are."""
-        statistics, delays = statistics_of(self._stamps[topic]), self._delays[topic]
+        """How often a topic was heard, how old its messages were, and what they are.
+
+        Of joints that several devices tell the rate is of those that come most often.
+        """
+        streams, delays = self._stamps[topic].values(), self._delays[topic]
+        statistics, count = statistics_of(max(streams, key=len, default=[])), sum(map(len, streams))
         rate = f"{statistics.rate_hz:8.2f} Hz" if math.isfinite(statistics.rate_hz) else ""
         lag = f"  {np.median(delays) / 1e6:6.1f} ms old" if delays else ""
-        return f"{topic:{width}}  {statistics.count:6d}  {rate:>11}{lag}  {self._published[topic].msgtype}"
+        return f"{topic:{width}}  {count:6d}  {rate:>11}{lag}  {self._published[topic].msgtype}"
 
     def faults(self, topic: str) -> list[str]:
         """What is wrong with when a topic's messages come and were made."""
         if self._published[topic].msgtype not in REGULAR_TYPES:
             return []
-        irregular = [f"{topic}: {fault}" for fault in faults_of(statistics_of(self._stamps[topic]))]
+        streams = self._stamps[topic]
+        irregular = [
+            f"{topic}: {', '.join(joints)}: {fault}" if len(streams) > 1 else f"{topic}: {fault}"
+            for joints, stamps in streams.items()
+            for fault in faults_of(statistics_of(stamps))
+        ]
         return irregular + _clock_faults(self._published[topic], self._delays[topic], self._clock_of(topic))
 
     def _clock_of(self, topic: str) -> str | None:
