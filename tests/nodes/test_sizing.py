@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -234,11 +235,25 @@ def test_what_is_not_launched_stays_as_it_is_given(choice: SizeChoice) -> None:
     assert sized(chain, "here") == chain
 
 
-def test_a_size_beside_what_it_decides_is_refused() -> None:
-    chain = ChainParameters(size=SizeParameters(SizeChoice.TINY))
-    mixed = replace(chain, model=replace(chain.model, most_gaussians=7))
-    with pytest.raises(ParameterError, match=r"here: size: name: tiny: expected the model's gaussians_per_pixel"):
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("gaussians_per_pixel", 0.7),
+        ("most_gaussians", 7),
+        ("track.steps", 7),
+        ("birth.per_set", 7),
+        ("birth.moving_share", 0.7),
+    ],
+)
+def test_a_size_beside_what_it_decides_is_refused_by_its_name(key: str, value: float) -> None:
+    section, _, last = key.rpartition(".")
+    model = {section: {last: value}} if section else {last: value}
+    mixed = fill(ChainParameters, {"size": {"name": "tiny"}, "model": model}, "here")
+    with pytest.raises(ParameterError, match=rf"here: size: name: tiny: expected the model's .*\b{re.escape(key)}\b"):
         sized(mixed, "here")
+
+
+def test_a_size_that_there_is_none_of_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"expected one of given, auto, tiny.*found 'huge'"):
         fill(ChainParameters, {"size": {"name": "huge"}}, "here")
 

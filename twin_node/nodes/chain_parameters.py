@@ -79,8 +79,8 @@ def sized(parameters: ChainParameters, where: str) -> ChainParameters:
     if SIZES[SHIPPED].model(parameters.model) != parameters.model:
         raise ParameterError(
             f"{where}: size: name: {choice.value}: expected the model's gaussians_per_pixel, most_gaussians, "
-            "track.steps and birth.per_set as they ship, which a size decides, found others; leave them out, or set "
-            "size.name to given"
+            "track.steps, birth.per_set and birth.moving_share as they ship, which a size decides, found others; leave "
+            "them out, or set size.name to given"
         )
     return parameters if choice is SizeChoice.AUTO else at_size(parameters, choice.value)
 
