@@ -215,3 +215,13 @@ def test_a_node_has_the_parameter_that_every_node_of_ros_has(bench: Bench) -> No
     assert setup.read(follows_clock=True)["use_sim_time"].value is True
     assert setup.read(follows_clock=False)["use_sim_time"].value is False
     bench.thread.stop()
+
+
+def test_who_asks_for_a_state_while_the_node_is_taken_away_is_answered(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was looked at twice, and once it had gone between the two looks nobody was answered."""
+    bench.thread.stop()
+    looks = iter(bench.nodes)
+    monkeypatch.setattr(NodeThread, "_node", property(lambda _: next(looks, None)), raising=False)
+    assert bench.thread.lifecycle is LifecycleState.UNCONFIGURED

@@ -133,7 +133,8 @@ class NodeThread:
     @property
     def lifecycle(self) -> LifecycleState:
         """Where the node is in its life; from any thread."""
-        return LifecycleState.UNCONFIGURED if self._node is None else self._node.state
+        node = self._node  # once: it is taken away and made anew in its own thread
+        return LifecycleState.UNCONFIGURED if node is None else node.state
 
     def change(self, transition: Transition, done: Callable[[bool], None]) -> None:
         """Leads the node through a transition, in its thread, and calls `done(whether it went)` there.
