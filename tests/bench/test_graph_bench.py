@@ -91,6 +91,14 @@ def test_silence_counts_from_the_last_message_that_arrived() -> None:
     assert (found.out_of_order, found.slow_share) == (0, 0.0)
 
 
+def test_the_share_in_which_loss_keeps_an_arm_slow_is_one_of_time() -> None:
+    """Of ten decisions three are of a silence that lasts for half the time."""
+    heard = [told(100 * i, 1.0, 1 + i) for i in range(4)] + [told(at, 0.2, 4) for at in (400, 600, 800)]
+    heard += [told(900 + 33 * i, 1.0, 5 + i) for i in range(3)] + [told(2000, 0.2, 8), told(3000, 1.0, 9)]
+    found = figures_of(heard, [Cut(-0.001, 0.999, 2.5)])
+    assert found.slow_share == pytest.approx(0.5)
+
+
 def test_an_arm_that_is_never_stopped_is_not_hidden_by_one_that_is() -> None:
     heard = [told(33 * i, 1.0, 1 + i) for i in range(30)]
     heard += [told(1100, 0.2, 30), told(1200, 0.0, 30), told(3000, 0.5, 31), told(3033, 1.0, 32)]

@@ -150,10 +150,18 @@ def figures_of(told: list[Told], cuts: list[Cut]) -> NetworkFigures:
         stopped_after_s_median=float(np.median(stopped)),
         resumes_after_s=max(resumed),
         out_of_order=int((np.diff(evidence) < 0).sum()),
-        slow_share=float(np.mean([t.fraction <= slow_fraction for t in before])),
+        slow_share=sum(_slow_s(told, c, slow_fraction) for c in cuts) / sum(c.cut - c.watched for c in cuts),
         age_ms_p50=float(np.percentile(ages, 50)),
         age_ms_p99=float(np.percentile(ages, 99)),
     )
+
+
+def _slow_s(told: list[Told], cut: Cut, fraction: float) -> float:
+    """For how long before a cut, s, the arm was told no more than a fraction: silence is filled with decisions as often
+    as it takes, which are no measure of its length."""
+    watched = [t for t in told if cut.watched < t.at < cut.cut]
+    until = [*(t.at for t in watched[1:]), cut.cut]
+    return sum(end - t.at for t, end in zip(watched, until, strict=True) if t.fraction <= fraction)
 
 
 def _news(told: list[Told]) -> list[Told]:
