@@ -28,7 +28,7 @@ class Run:
 
     p50_ms: float
     p99_ms: float
-    """From the evidence's newest image to the obstacles made of it, over the last 300 sets."""
+    """From the evidence's newest image to the obstacles made of it, over the last 10 s (`nodes.latency.MEMORY_NS`)."""
     sets: int
     """That went through the twin."""
     twin_ms_per_set: float
