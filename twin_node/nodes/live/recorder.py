@@ -151,9 +151,10 @@ class LiveRecorderNode(Node):
         self._bus.subscribe_timed(topic, partial(self._write, self._bus.renamed(topic), qos.latched), self.clock)
 
     def _find_more(self) -> None:
-        """Takes up topics that others publish: those asked for whose type their name does not tell, or all."""
-        if not self._is_all and all(topic in self._added for topic in self._topics):
-            return
+        """Takes up topics that others publish: those asked for whose type their name does not tell, or all.
+
+        Of another type than is recorded by then they are told.
+        """
         asked = {self._bus.resolved(topic): topic for topic in self._topics}
         for endpoint in self._endpoints():
             topic = self._bus.named(endpoint.topic) if self._is_all else asked.get(endpoint.topic)
