@@ -37,6 +37,15 @@ def test_a_rig_in_the_base_is_taken(tmp_path: Path, frame: str) -> None:
     assert read_rig(RigParameters(file=str(tmp_path / "rig.yaml"))).cameras[0].name == "left"
 
 
+@pytest.mark.parametrize(
+    "given", [{}, {"file": "rig.yaml", "scenario": "demo"}, {"log": "run.mcap", "scenario": "demo"}]
+)
+def test_a_rig_that_is_told_nowhere_or_twice_is_refused(given: dict[str, str]) -> None:
+    """Beside a log the scenario was passed over: a twin looked through cameras that nobody simulated."""
+    with pytest.raises(GraphError, match="expected one of file, log and scenario"):
+        read_rig(RigParameters(**given))
+
+
 def test_topics_of_a_driver_in_a_namespace_are_named_from_the_root() -> None:
     """realsense2_camera has its node's name and its camera's before its topics."""
     parameters = RigParameters("rig.yaml", image="/{camera}/{camera}/color/image_raw", depth="depth/image_rect")

@@ -73,6 +73,8 @@ def read_rig(parameters: RigParameters) -> RigSource:
     count from 1970, and a rate of one part per million would put them off by half an hour.
     Raises `GraphError`, `RigError`, `BagError` or `CellError` for what is wrong with it.
     """
+    if bool(parameters.file or parameters.log) == bool(parameters.scenario):
+        raise GraphError("rig: expected one of file, log and scenario; say which cameras the twin looks through")
     if parameters.log:
         from twin_node.nodes.calibration import load_base_rig
         from twin_node.nodes.log_source import LogSession
@@ -82,8 +84,6 @@ def read_rig(parameters: RigParameters) -> RigSource:
         rig_file = Path(parameters.file) if parameters.file else None
         with LogSession(Path(parameters.log), rig_file, parse_remaps(parameters.remap)) as session:
             return RigSource(session.rig, session.cameras, session.camera_doubts)
-    if bool(parameters.file) == bool(parameters.scenario):
-        raise GraphError("rig: expected one of file, log and scenario; say which cameras the twin looks through")
     if parameters.scenario:
         from twin_node.cell import load_scenario
         from twin_node.cell.rig import make_rig
