@@ -67,12 +67,15 @@ def test_the_recorders_topics_are_heeded(cell_log: Callable[..., Path], tmp_path
         ("player", {"loop": True}, "test: player: loop: expected none in lockstep"),
         ("player", {"start_paused": True}, "test: player: start_paused: expected none in lockstep"),
         ("player", {"topics": ["/joint_states"]}, "test: player: topics: expected none in lockstep"),
+        ("player", {"log": ""}, "test: player: expected 'log', the file or folder to play; give log:=LOG"),
+        ("/**", {"rig": {"scenario": "demo"}}, "test: /**: rig: expected a rig file, or the log that is played"),
+        ("/**", {"rig": {"log": "other.mcap"}}, "whose images these are, found other.mcap; leave it out"),
     ],
 )
 def test_what_cannot_be_heeded_is_refused(
     cell_log: Callable[..., Path], tmp_path: Path, node: str, values: dict[str, object], words: str
 ) -> None:
-    sections: dict[str, dict[str, object]] = {"player": {"log": str(cell_log(0.4))}, "recorder": {}}
+    sections: dict[str, dict[str, object]] = {"player": {"log": str(cell_log(0.4))}, "recorder": {}, "/**": {}}
     sections[node] |= values
     with pytest.raises(TwinError, match=re.escape(words)):
         run_in_lockstep({**SMALL, **sections}, "test", threading.Event(), print)

@@ -25,10 +25,13 @@ def run_in_lockstep(sections: Sections, where: str, stop: threading.Event, say: 
     Raises `GraphError` for what the player and the recorder are asked for and cannot do in lockstep.
     """
     player = fill(PlayParameters, sections.get("player", {}), f"{where}: player")
+    if not player.log:
+        raise GraphError(f"{where}: player: expected 'log', the file or folder to play; give log:=LOG")
     _refuse(player, ("rate", "loop", "topics", "start_paused"), f"{where}: player")
     recorder = fill(RecordParameters, sections.get("recorder", {}), f"{where}: recorder")
     _refuse(recorder, ("all", "split", "compression"), f"{where}: recorder")
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
+    _refuse_other_cameras(rig, player.log, f"{where}: {EVERY_NODE}: rig")
     output = recorder.output
     if output and Path(output).resolve() == Path(player.log).resolve():
         raise GraphError(f"{where}: recorder: output: expected another file than the log that is played, {output}")
@@ -67,6 +70,16 @@ def _refuse(parameters: object, names: Collection[str], where: str) -> None:
                 f"{where}: {name}: expected none in lockstep, where all is dealt with in turn and once, found one; "
                 "leave it out"
             )
+
+
+def _refuse_other_cameras(rig: RigParameters, log: str, where: str) -> None:
+    """Raises `GraphError` for a rig that is neither the played log's own nor a file's."""
+    is_other_log = bool(rig.log) and Path(rig.log).resolve() != Path(log).resolve()
+    if rig.scenario or is_other_log:
+        raise GraphError(
+            f"{where}: expected a rig file, or the log that is played, in lockstep, whose images these are, found "
+            f"{rig.scenario or rig.log}; leave it out"
+        )
 
 
 def _check_recorded(topics: Collection[str], heard: Collection[str], where: str) -> None:
