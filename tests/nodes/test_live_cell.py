@@ -22,7 +22,7 @@ from twin_node.messages import convert, header_stamp
 from twin_node.nodes.live.arm_stand_in import UrSimNode, UrSimParameters
 from twin_node.nodes.live.cameras import CamerasNode, make_cameras
 from twin_node.nodes.live.cell import CellNode, CellParameters
-from twin_node.nodes.live.rig_messages import depth_message, publish_image
+from twin_node.nodes.live.rig_messages import depth_message, publish_calibration, publish_image
 from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import FRUSTA, JOINT_STATES, TF_STATIC, TRAJECTORY, GraphError, kind_of
@@ -32,7 +32,7 @@ from twin_node.runtime.executor import Executor
 from twin_node.runtime.node import Node
 from twin_node.runtime.wire import LocalWire
 from twin_node.runtime.wire_bus import WireBus
-from twin_node.scene import JointSample, RigCamera
+from twin_node.scene import JointSample, Rig, RigCamera
 
 RIG = RigParameters(scenario="demo", image="image_raw", depth="depth/image_rect")
 WAIT_S = 60.0
@@ -71,6 +71,17 @@ def test_a_cell_sends_what_a_rig_would() -> None:
     assert joints == sorted(joints)
     assert len(joints) > len(heard[TRAJECTORY]) > 0
     assert len(heard[TF_STATIC]) == 1
+
+
+@pytest.mark.parametrize("image", ["image_raw", "color/image_raw", "/{camera}/{camera}/rgb/image_raw"])
+def test_calibration_is_where_the_images_are(image: str) -> None:
+    """What late listeners are given was always on `/CAMERA/camera_info`: a topic beside which no image ever came."""
+    sent: list[str] = []
+    bus = SimpleNamespace(publish=lambda topic, _: sent.append(topic))
+    camera, parameters = RigCamera("left", 4, 3, np.eye(3), np.eye(4)), RigParameters(image=image)
+    publish_calibration(bus, Rig((camera,)), parameters, 0)
+    publish_image(bus, topics_of("left", parameters), camera, 0, np.zeros((3, 4, 3), np.uint8), None)
+    assert sent[:2] == [TF_STATIC, sent[2]]
 
 
 def test_a_reader_that_hangs_holds_no_camera_up() -> None:

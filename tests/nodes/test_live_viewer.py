@@ -17,6 +17,7 @@ from twin_node.bench.visitors import free_port
 from twin_node.messages import convert
 from twin_node.nodes.live.graph_cameras import GraphCameras
 from twin_node.nodes.live.rig_messages import publish_calibration
+from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.live.single import GraphTime
 from twin_node.nodes.live.viewer import make_viewer
@@ -182,7 +183,7 @@ def test_cameras_that_are_calibrated_anew_are_shown_where_they_are_now(graph: Gr
         moved[0, 3] = x
         front = RigCamera("cam_front", 64, 48, np.diag([50.0, 50.0, 1.0]), moved)
         bus = WireBus(graph.wire, graph.executor, "cameras", kind_of)
-        publish_calibration(bus, Rig((front,)), START)
+        publish_calibration(bus, Rig((front,)), RigParameters(), START)
         bus.publish("/cam_front/camera_info", convert.camera_info(front, START))
         for _ in range(3):
             found = cameras()

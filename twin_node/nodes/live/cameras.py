@@ -70,7 +70,7 @@ class CamerasNode(Node):
             self._say(self._told)
 
     def on_activate(self) -> None:
-        publish_calibration(self.bus, self._rig, self.clock.now())
+        publish_calibration(self.bus, self._rig, self._rig_parameters, self.clock.now())
         self._thread.start()
 
     def on_deactivate(self) -> None:

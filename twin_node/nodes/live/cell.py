@@ -78,7 +78,7 @@ class CellNode(Node):
             self._timers.every(1 / TRAJECTORY_RATE_HZ, self._publish_path)
 
     def on_activate(self) -> None:
-        publish_calibration(self.bus, self._simulated.rig, self.clock.now())
+        publish_calibration(self.bus, self._simulated.rig, self._parameters.rig, self.clock.now())
         self._stop.clear()
         self._thread.start()
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from twin_node.messages import Message, convert
+from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.topics import COMPRESSED, TF_STATIC, CameraTopics
 from twin_node.runtime.bus import Bus
 from twin_node.scene import Float32, Rig, RigCamera, UInt8
 
 
-def publish_calibration(bus: Bus, rig: Rig, stamp: int) -> None:
-    """Publish `/tf_static` and every camera's CameraInfo, which late subscribers are given too."""
+def publish_calibration(bus: Bus, rig: Rig, parameters: RigParameters, stamp: int) -> None:
+    """Publish `/tf_static` and every camera's CameraInfo beside its images, which late subscribers are given too."""
     bus.publish(TF_STATIC, convert.tf_static(rig, stamp))
     for camera in rig.cameras:
-        bus.publish(f"/{camera.name}/camera_info", convert.camera_info(camera, stamp))
+        bus.publish(topics_of(camera.name, parameters).info, convert.camera_info(camera, stamp))
 
 
 def publish_image(
