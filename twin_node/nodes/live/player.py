@@ -205,15 +205,16 @@ class _LogTime:
 
     def __init__(self, rate: float, is_paused: bool) -> None:
         self._rate = rate
-        self._log_ns = 0
-        self._at_ns = time.monotonic_ns()
+        self._begun = (0, time.monotonic_ns())
+        """A log time and when it was, by the monotonic clock, ns each: one value, for one thread plays as another
+        pauses."""
         self.is_paused = is_paused
 
     def start(self, stamp: int) -> None:
-        self._log_ns, self._at_ns = stamp, time.monotonic_ns()
+        self._begun = stamp, time.monotonic_ns()
 
     def pause(self, paused: bool) -> None:
-        self._log_ns, self._at_ns = self._now(), time.monotonic_ns()
+        self._begun = self._now(), time.monotonic_ns()
         self.is_paused = paused
 
     def seconds_until(self, stamp: int) -> float:
@@ -223,8 +224,8 @@ class _LogTime:
         return (stamp - self._now()) / (1e9 * self._rate)
 
     def _now(self) -> int:
-        since = 0 if self.is_paused else time.monotonic_ns() - self._at_ns
-        return self._log_ns + int(since * self._rate)
+        stamp, at = self._begun
+        return stamp + (0 if self.is_paused else int((time.monotonic_ns() - at) * self._rate))
 
 
 def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None]) -> dict[str, str]:
