@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -31,8 +32,18 @@ def test_the_fastest_that_reaches_a_quality_is_taken(front: Path, monkeypatch: p
     monkeypatch.setattr(size_choice, "FRONT_FILE", str(front))
     assert by_target(14).size == "tiny"
     assert by_target(17.5).size == "small"
-    with pytest.raises(GraphError, match=r"--target 30: expected at most 18\.0 dB"):
+    with pytest.raises(GraphError, match=r"--target 30: expected at most 18\.00 dB"):
         by_target(30)
+
+
+def test_what_is_told_to_be_the_most_can_be_asked_for(front: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best was rounded up, and then refused."""
+    front.write_text(front.read_text().replace("18.0", "18.06"))
+    monkeypatch.setattr(size_choice, "FRONT_FILE", str(front))
+    with pytest.raises(GraphError, match=r"expected at most ([\d.]+) dB") as refused:
+        by_target(30)
+    most = re.search(r"at most ([\d.]+) dB", str(refused.value))
+    assert most is not None and by_target(float(most[1])).size == "small"
 
 
 @pytest.mark.parametrize(

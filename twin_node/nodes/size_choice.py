@@ -52,7 +52,7 @@ def by_target(psnr_db: float) -> Choice:
     good = [rated for rated in front if rated.psnr_left_out_db >= psnr_db]
     if not good:
         best = max(rated.psnr_left_out_db for rated in front)
-        raise GraphError(f"--target {psnr_db:g}: expected at most {best:.1f} dB, the best of {FRONT_FILE}")
+        raise GraphError(f"--target {psnr_db:g}: expected at most {best:.2f} dB, the best of {FRONT_FILE}")
     chosen = min(good, key=lambda rated: rated.ms_per_frame)
     reached = f"{chosen.psnr_left_out_db:.1f} dB in {FRONT_FILE}"
     return Choice(chosen.name, f"size {chosen.name}: the fastest that reached {psnr_db:g} dB ({reached})")
