@@ -239,3 +239,24 @@ def test_any_size_keeps_the_view(width: int, size: tuple[int, int]) -> None:
     camera = Undistorter(raw, width).camera
     corner = np.linalg.inv(camera.K) @ [camera.width, camera.height, 1]
     np.testing.assert_allclose(corner, np.linalg.inv(raw.K) @ [size[0] - 0.5, size[1] - 0.5, 1], atol=1e-9)
+
+
+def test_a_lens_that_is_told_while_another_thread_picks_depth_counts_from_then_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What was being made of the lens before stayed for good: all depth was taken to be of that one."""
+    rgb = np.zeros((270, 480, 3), np.uint8)
+    depth = np.arange(270 * 480, dtype=np.float32).reshape(270, 480) + 1
+    lens = replace(PINHOLE, K=PINHOLE.K * np.array([[0.8], [0.8], [1.0]]))
+    undistorter, make = Undistorter(PINHOLE, 120), Undistorter._make_depth_map
+
+    def told_meanwhile(own: Undistorter, shape: tuple[int, int]) -> object:
+        made = make(own, shape)
+        monkeypatch.undo()
+        undistorter.see_depth_by(lens)
+        return made
+
+    monkeypatch.setattr(Undistorter, "_make_depth_map", told_meanwhile)
+    undistorter.view(0, rgb, depth)
+    right = Undistorter(replace(PINHOLE, depth_lens=lens), 120).view(0, rgb, depth)
+    assert np.array_equal(undistorter.view(0, rgb, depth).depth, right.depth)

@@ -73,9 +73,11 @@ class Undistorter:
         return View(self.camera, stamp, self._colour(rgb), picked, self._valid)
 
     def see_depth_by(self, lens: RigCamera) -> None:
-        """From now on depth is taken to be what another lens in the camera's place sees, see `RigCamera.depth_lens`."""
-        self._depth_lens = lens
-        self._depth_maps.clear()
+        """From now on depth is taken to be what another lens in the camera's place sees, see `RigCamera.depth_lens`.
+
+        Other threads may be at work on views.
+        """
+        self._depth_lens, self._depth_maps = lens, {}  # in this order: what is made meanwhile is of the maps before
 
     def _colour(self, rgb: UInt8) -> UInt8:
         size = (self.camera.width, self.camera.height)
@@ -133,9 +135,10 @@ class Undistorter:
                 "millimetres; divide by 1000.0"
             )
         shape = (depth.shape[0], depth.shape[1])
-        if shape not in self._depth_maps:
-            self._depth_maps[shape] = self._make_depth_map(shape)
-        at, inside = self._depth_maps[shape]
+        maps = self._depth_maps
+        if shape not in maps:
+            maps[shape] = self._make_depth_map(shape)
+        at, inside = maps[shape]
         picked = depth.ravel().take(at).astype(np.float32, copy=False)
         np.copyto(picked, 0, where=~(inside & (picked > 0) & (picked < np.inf)))
         return picked
