@@ -39,7 +39,6 @@ class Described:
     """Name of a `ParameterType`, in small letters."""
     value: Any
     description: str
-    is_read_only: bool
 
 
 class Asking:
@@ -154,9 +153,7 @@ class Asking:
         values = self.values(node, names)
         answer = self._ask(node, "describe_parameters", "rcl_interfaces/srv/DescribeParameters", names=list(names))
         told = zip(names, _each(node, names, answer.descriptors), strict=True)
-        return [
-            Described(name, _kind(one.type), values[name], one.description, bool(one.read_only)) for name, one in told
-        ]
+        return [Described(name, _kind(one.type), values[name], one.description) for name, one in told]
 
     def _ask(self, node: str, name: str, kind: str, patience_s: float = PATIENCE_S, **fields: object) -> Message:
         answer = self._client.ask(f"{node}/{name}", service_type(kind), patience_s, **fields)
