@@ -137,10 +137,11 @@ def begins(evidence: NDArray[np.int64], scenario: Scenario) -> Sequence[int]:
     """
     after = np.array([exposure.stamp for exposure in SimulatedRig(scenario).exposures()]) - scenario.start_ns
     found, counts = np.unique(evidence[:, None] - after, return_counts=True)
+    likely = np.flatnonzero(counts >= _SAME_RUN)
     span, runs = int(scenario.duration_s * 1e9), list[int]()
-    for row in np.argsort(-counts, kind="stable")[: np.count_nonzero(counts >= _SAME_RUN)]:
-        if all(abs(int(found[row]) - other) >= span for other in runs):
-            runs.append(int(found[row]))
+    for begun in found[likely[np.argsort(-counts[likely], kind="stable")]].tolist():
+        if all(abs(begun - other) >= span for other in runs):
+            runs.append(begun)
     return sorted(runs)
 
 
