@@ -153,3 +153,18 @@ def test_a_session_ends_though_one_hangs_that_it_is_joining(
         finally:
             hanging.kill()
             hanging.wait()
+
+
+ENDING = """
+import sys
+from twin_node.runtime import zenoh_session
+zenoh_session.CLOSING_S = 0.0
+router = zenoh_session.open_router(zenoh_session.ZenohParameters(router="builtin", endpoint=sys.argv[1], domain=0))
+zenoh_session.close_session(router)
+"""
+
+
+def test_a_program_that_ends_while_a_session_does_has_its_own_exit_status() -> None:
+    """On a busy machine, and beside somebody who hangs, it aborted once it had done all it should."""
+    ended = subprocess.run([sys.executable, "-c", ENDING, free_endpoint()], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")

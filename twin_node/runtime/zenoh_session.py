@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ipaddress
 import json
@@ -29,6 +30,8 @@ SHARED_MEMORY = "/dev/shm"
 """Where Linux has shared memory."""
 CLOSING_S = 2.0
 """What a session may take to end: some milliseconds do, unless it is joining somebody who hangs."""
+LATE_S = 3.0
+"""What one may take longer on a busy machine, s; one that is joining somebody who hangs takes ten seconds in all."""
 QUEUED_BATCHES = 16
 """Batches of 64 KiB that may wait on a session's link, zenoh's largest number (its default is 2): the images of three
 cameras come at once, and a receiver that is busy for a moment on this host must not cost one of them."""
@@ -156,8 +159,9 @@ def close_session(session: Any) -> None:
     """Ends a session, or a router: it waits no longer than `CLOSING_S`, and whatever comes of it is an end.
 
     zenoh waits with closing for as long as it is joining another session that it was told of, and fails after ten
-    seconds: one that hangs, or ends meanwhile too, answers nothing. What is left open ends by itself, or with the
-    process; whoever else is joined sees that. (zenoh issue 2675.)
+    seconds: one that hangs, or ends meanwhile too, answers nothing. What is left open ends by itself; whoever else is
+    joined sees that. (zenoh issue 2675.) The program's end waits for `LATE_S` more: where zenoh comes back to an
+    interpreter that is going, the process aborts, whatever its exit status was to be.
     """
 
     def close() -> None:
@@ -167,6 +171,8 @@ def close_session(session: Any) -> None:
     closing = threading.Thread(target=close, name="end of a session", daemon=True)
     closing.start()
     closing.join(CLOSING_S)
+    if closing.is_alive():
+        atexit.register(closing.join, LATE_S)
 
 
 def _zenoh() -> Any:
