@@ -141,6 +141,7 @@ def test_what_cannot_be_run_is_refused(short: FilePath, refused: Callable[..., s
         CellCase(replace(load_scenario(short), arm=None), 33.0, LoopParameters())
     assert "nowhere" in refused("bench", "cell", "nowhere")
     assert "add it" in refused("bench", "cell", short, "--same-eyes")
+    assert "bench cell: latency_ms: expected 0 to 10000, found" in refused("bench", "cell", short, "--latency", "1e9")
     assert "--set-rate: expected --twin and --latency beside it" in refused(
         "bench", "cell", short, "--twin", "--set-rate", "20"
     )

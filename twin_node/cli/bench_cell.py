@@ -96,7 +96,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         first_seed=options.first_seed,
         twin=options.twin,
         same_eyes=options.same_eyes,
-        twin_latency_ms=options.latency,
+        twin_latency_ms=options.latency if options.twin else None,
         twin_rate_hz=options.set_rate,
         processes=options.processes,
         loop=LoopParameters(separation=law),
