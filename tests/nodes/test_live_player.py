@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,6 @@ from twin_logs import with_notes
 
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.messages import builtin_types, convert, message_type, serialize
-from twin_node.nodes.live import player
 from twin_node.nodes.live.player import PlayNode, PlayParameters
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import ACKNOWLEDGE, CLOCK, FOLLOW, GraphError, kind_of, kind_of_own
@@ -209,25 +207,6 @@ def test_a_loop_over_nothing_ends(tmp_path: Path) -> None:
     theatre = Theatre(path, loop=True, topics=("/a",), start_offset=1e-9)
     theatre.play()
     assert theatre.heard == []
-
-
-def test_time_does_not_leap_as_it_is_paused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever played asked for it between two halves of it, and sent all that was due in as much time again."""
-    now, left = [0], list[float]()
-    monkeypatch.setattr(time, "monotonic_ns", lambda: now[0])
-
-    class Asked(player._LogTime):
-        """Is asked in whatever state it is."""
-
-        def __setattr__(self, name: str, value: object) -> None:
-            super().__setattr__(name, value)
-            if hasattr(self, "is_paused") and not self.is_paused:
-                left.append(self.seconds_until(100_000_000_000))
-
-    log_time = Asked(1.0, is_paused=False)
-    for now[0], paused in ((10_000_000_000, True), (30_000_000_000, False), (35_000_000_000, True)):
-        log_time.pause(paused)
-    assert left == [100.0, 90.0, 90.0, 85.0]
 
 
 def test_a_paused_player_waits_for_its_word(log: Path) -> None:

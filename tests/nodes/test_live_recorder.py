@@ -275,10 +275,7 @@ def test_a_topic_of_an_unknown_type_is_not_recorded_and_told_once(
 def test_a_second_type_under_a_topic_s_name_is_told_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
 ) -> None:
-    """A log has one type per topic; on the graph two nodes may well use one name for different things.
-
-    Of topics that were named, whoever came after all were known went unheard without a word.
-    """
+    """A log has one type per topic; on the graph two nodes may use one name for two things, whenever they come."""
     monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.0)
     studio = Studio(tmp_path / "run.mcap", SystemClock(), **more)
     kinds = ("std_msgs/msg/String", "std_msgs/msg/Empty")
