@@ -34,7 +34,7 @@ def test_cameras_survive() -> None:
     assert_same(c.rig_camera(sent(c.camera_info(fisheye, STAMP)), "front", fisheye.T_base_cam, 0.004), fisheye)
 
 
-@pytest.mark.parametrize("model", ["", "plumb_bob"])
+@pytest.mark.parametrize("model", ["", "plumb_bob", "rational_polynomial", "equidistant"])
 def test_a_camera_whose_images_are_straight_may_say_nothing_of_distortion(model: str) -> None:
     """As simulators and drivers of rectified cameras do."""
     info = replace(c.camera_info(camera(), STAMP), distortion_model=model, d=np.zeros(0))

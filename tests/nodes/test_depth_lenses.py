@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from twin_node.messages import convert
+from twin_node.nodes.calibration import depth_lens_of
 from twin_node.nodes.live.beside_twin import make_synchronizer
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.topics import FRAMES, kind_of
+from twin_node.nodes.topics import FRAMES, RAW, CameraTopics, kind_of
 from twin_node.rig import RigFile, save_rig
 from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
@@ -80,6 +81,14 @@ def test_depth_is_that_of_the_lens_that_its_camera_info_tells(
     assert off >= 2.0
     assert (np.abs(graph.depth()).max() < 1.1) == is_straight
     assert not graph.said
+
+
+def test_a_fisheye_whose_coefficients_are_zeros_is_no_straight_lens() -> None:
+    camera = CameraTopics("oak", "/oak/rgb/image_raw", RAW, "/oak/rgb/camera_info")
+    fisheye, straight = replace(LENS, distortion_model="equidistant", D=np.zeros(4)), replace(LENS, D=STRAIGHT)
+    infos = [convert.camera_info(lens, 0) for lens in (fisheye, straight)]
+    assert depth_lens_of(camera, *infos) is not None
+    assert depth_lens_of(camera, *infos[1:], *infos[1:]) is None
 
 
 def test_depth_that_is_not_aligned_is_told(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ LENSES = {
         PINHOLE, distortion_model="rational_polynomial", D=np.array([0.3, 0.1, 0.001, 0.001, 0.01, 0.5, 0.1, 0.02])
     ),
     "equidistant": replace(PINHOLE, distortion_model="equidistant", D=np.array([-0.03, 0.01, 0.0, 0.0])),
+    "equidistant of zeros": replace(PINHOLE, distortion_model="equidistant", D=np.zeros(4)),
 }
 RNG = np.random.default_rng(0)
 
@@ -79,6 +80,14 @@ def test_every_model_bends_rays_as_opencv_does(lens: str) -> None:
     expected = raw_pixels(camera, np.concatenate([rays, np.ones((201, 1))], axis=1))
     np.testing.assert_allclose(distort(camera, rays), expected, rtol=1e-12, atol=1e-9)
     assert distort(camera, rays[:0]).shape == (0, 2)
+
+
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 14])
+def test_coefficients_of_zero_may_be_of_any_number(count: int) -> None:
+    """OpenCV gives up to fourteen."""
+    camera = replace(PINHOLE, D=np.zeros(count))
+    view = Undistorter(camera, 160).view(0, np.zeros((270, 480, 3), np.uint8), np.ones((270, 480), np.float32))
+    assert view.depth is not None and (view.depth == 1).all()
 
 
 def test_full_size_without_distortion_is_the_image_itself() -> None:

@@ -21,6 +21,7 @@ from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_r
 from twin_node.rig import load_rig
 from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
 from twin_node.rig.rig_checks import MAX_DISTANCE_M
+from twin_node.rig.undistort import is_straight
 from twin_node.scene import Float64, Rig, RigCamera
 
 ANOTHER_LENS = 0.05
@@ -291,9 +292,9 @@ def _refuse_one_frame_of_two(
 def _is_one_lens(one: RigCamera, other: RigCamera) -> bool:
     """Whether two images may be of one lens, at any resolution."""
     apart = np.abs(_by_size(one) - _by_size(other)).max()
-    is_straight = not (one.D.any() or other.D.any())
+    are_straight = is_straight(one) and is_straight(other)
     is_bent_alike = one.distortion_model == other.distortion_model and np.array_equal(one.D, other.D)
-    return bool(apart < ROUNDED and (is_straight or is_bent_alike))
+    return bool(apart < ROUNDED and (are_straight or is_bent_alike))
 
 
 def _by_size(camera: RigCamera) -> Float64:

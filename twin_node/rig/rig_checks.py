@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twin_node.geometry import inverse_pose
 from twin_node.ranges import Range
 from twin_node.rig.errors import RigError
+from twin_node.rig.undistort import is_straight
 from twin_node.rig.workspace import axes_focus, axes_spread
 from twin_node.scene import Rig
 
@@ -59,7 +60,7 @@ def check_rig(rig: Rig) -> None:
         check_size(where, np.array([camera.width, camera.height]))
         check_intrinsics(where, camera.K, (camera.width, camera.height))
         check_pose(where, camera.T_base_cam)
-        if np.any(camera.D):
+        if not is_straight(camera):
             check_distortion(where, camera.distortion_model, camera.D)
     if rig.cameras:
         names = tuple(camera.name for camera in rig.cameras)

@@ -46,7 +46,7 @@ class Undistorter:
             *(camera.T_base_cam.copy(), camera.sigma_m),
         )
         """The pinhole camera that the output was seen by."""
-        self._distorted = bool(np.any(camera.D))
+        self._distorted = not is_straight(camera)
         self._depth_maps: dict[tuple[int, int], tuple[NDArray[np.int64], Bool]] = {}
         self._valid: Bool | None = None
         if self._distorted:
@@ -199,6 +199,11 @@ class Optics(Protocol):
         """Distortion coefficients in the model's own order."""
 
 
+def is_straight(lens: Optics) -> bool:
+    """Whether a lens bends nothing; a fisheye does without any coefficients too: angles are its image's radii."""
+    return lens.distortion_model != "equidistant" and not np.any(lens.D)
+
+
 def distort(camera: Optics, rays: Float64) -> Float64:
     """Raw image pixels [N, 2] (OpenCV convention) of rays (x/z, y/z) [N, 2] in the optical frame.
 
@@ -213,10 +218,11 @@ def distort(camera: Optics, rays: Float64) -> Float64:
 
 
 def _brown_conrady(D: Float64, rays: Float64) -> Float64:
-    """Rays (x/z, y/z) [N, 2] bent by coefficients [4, 5 or 8] in OpenCV's order.
+    """Rays (x/z, y/z) [N, 2] bent by coefficients [4, 5 or 8] in OpenCV's order; zeros may be of any number.
 
     `cv2.projectPoints` does the same with 14 derivatives of every point, and takes ten to twenty times as long.
     """
+    D = D[:8]
     k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(D, (0, 8 - len(D))).tolist()
     x, y = rays.T
     square, product = x * x + y * y, x * y

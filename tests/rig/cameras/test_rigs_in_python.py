@@ -44,6 +44,10 @@ OPENCVS = LEFT.D.reshape(1, 5)
         ({"D": OPENCVS}, r"camera left: D: expected finite numbers \[n\], found shape \[1, 5\]; .*`ravel\(\)`"),
         ({"D": np.full(5, np.nan)}, r"camera left: D: expected finite numbers \[n\], found \[nan, "),
         ({"D": np.full(14, 0.01)}, "left.distortion.coefficients: expected 4 or 5 numbers for plumb_bob, found 14"),
+        (
+            {"distortion_model": "equidistant", "D": np.zeros(5)},
+            "left.distortion.coefficients: expected 4 numbers for equidistant, found 5",
+        ),
         ({"distortion_model": "fisheye"}, "left.distortion.model: expected one of plumb_bob, .*, found 'fisheye'"),
         ({"K": K[:2]}, r"camera left: K: expected finite numbers \[3, 3\], found shape \[2, 3\]"),
         ({"K": K.T}, r"camera left.K: expected \[\[fx, 0, cx\], .*transpose it"),

@@ -76,10 +76,9 @@ def rig_camera(
     K[:2, :2] /= bins[:, None]
     K[:2, 2] = (K[:2, 2] + 0.5) / bins - 0.5
     model = str(info.distortion_model) or "plumb_bob"
-    if is_rectified:
+    D = np.zeros(0) if is_rectified else _coefficients(name, model, np.array(info.d, dtype=np.float64))
+    if len(D) == 0:  # nothing is bent; a fisheye with coefficients of zero bends
         model, D = "plumb_bob", np.zeros(DISTORTION_SIZES["plumb_bob"][-1])
-    else:
-        D = _coefficients(name, model, np.array(info.d, dtype=np.float64))
     return RigCamera(
         name=name,
         width=width,
@@ -166,7 +165,7 @@ def _coefficients(name: str, model: str, D: Float64) -> Float64:
             "recalibrate with one of them"
         )
     if len(D) == 0:
-        return np.zeros(sizes[-1])
+        return D
     if not np.any(D[sizes[-1] :]):  # drivers fill all that OpenCV knows with zeros
         D = D[: sizes[-1]]
     if len(D) not in sizes or not np.all(np.isfinite(D)):
