@@ -150,9 +150,10 @@ def _against_log(options: argparse.Namespace, rig: Rig) -> Verdict:
     from twin_node.rig.calibrate.check import check_against_recording
     from twin_node.rig.undistort import without_distortion
 
-    raw = without_distortion(rig)
     duration_s = options.duration or CHECK_S
-    with LogSession(options.recording, raw, parse_remaps(options.remap), duration_s=duration_s) as session:
+    with LogSession(options.recording, rig, parse_remaps(options.remap), duration_s=duration_s) as session:
+        rig = session.rig
+        session.rig = without_distortion(rig)
         arm = session.arm(options.arm) if options.arm else None
         source = LogSource(session, SynchronizerParameters(CHECK_WIDTH, CHECK_RATE_HZ), arm.joint_names if arm else ())
         sets = list(tqdm(source, unit="set", desc="read", disable=None))

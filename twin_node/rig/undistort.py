@@ -161,8 +161,9 @@ class Undistorter:
 
 
 def without_distortion(rig: Rig) -> Rig:
-    """The rig as if its lenses bent nothing: images read by it are raw ones."""
-    straight = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5)) for camera in rig.cameras)
+    """The rig as if its lenses bent nothing: images read by it are raw ones, and so is depth: of a camera's
+    `depth_lens`, where it has one, on the pixels of that, at the image's size."""
+    straight = (replace(camera, distortion_model="plumb_bob", D=np.zeros(5), depth_lens=None) for camera in rig.cameras)
     return replace(rig, cameras=tuple(straight))
 
 

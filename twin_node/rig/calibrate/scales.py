@@ -92,12 +92,14 @@ def _apart(camera_a: RigCamera, a: View, camera_b: RigCamera, b: View) -> _Apart
     rows, columns = np.nonzero(a.depth > 0)
     chosen = np.linspace(0, len(rows) - 1, min(DEPTH_PIXELS, len(rows))).round().astype(int)
     rows, columns = rows[chosen], columns[chosen]
-    pixels = (np.column_stack([columns, rows]) + 0.5) * (camera_a.width / a.depth.shape[1]) - 0.5
-    rays = homogeneous(pixel_rays(camera_a, pixels))
+    lens_a, lens_b = (camera.depth_lens or camera for camera in (camera_a, camera_b))
+    pixels = (np.column_stack([columns, rows]) + 0.5) * (lens_a.width / a.depth.shape[1]) - 0.5
+    rays = homogeneous(pixel_rays(lens_a, pixels))
     points = transform(inverse_pose(camera_b.T_base_cam) @ camera_a.T_base_cam, rays * a.depth[rows, columns, None])
-    there = ((raw_pixels(camera_b, points) + 0.5) * (b.depth.shape[1] / camera_b.width)).astype(np.int64)
+    there = (raw_pixels(lens_b, points) + 0.5) * (b.depth.shape[1] / lens_b.width)
     inside = (points[:, 2] > 0) & (there >= 0).all(1) & (there < b.depth.shape[::-1]).all(1)
-    measured = b.depth[there[inside, 1], there[inside, 0]]
+    columns, rows = there[inside].astype(np.int64).T
+    measured = b.depth[rows, columns]
     known = measured > 0
     return _Apart(np.abs(points[inside, 2] - measured)[known], measured[known].astype(np.float64))
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from twin_node.rig.calibrate.lenses import pixel_rays
 from twin_node.rig.errors import RigError
+from twin_node.rig.undistort import distort
 from twin_node.scene import Bool, Float32, FrameSet, Rig, RigCamera, UInt8, View
 
 MOST_IMAGES = 80
@@ -34,6 +36,7 @@ class Still:
 def stills_of(rig: Rig, sets: Iterable[FrameSet]) -> tuple[Still, ...]:
     """The still image of every camera of `rig` from sets of its raw (not undistorted) images at full size.
 
+    Depth, raw too, is brought from the pixels of a camera's `depth_lens` onto those of its image.
     Long recordings are thinned evenly. Raises `RigError` naming a camera with too few images or of another size.
     """
     kept: dict[str, list[View]] = {camera.name: [] for camera in rig.cameras}
@@ -66,7 +69,7 @@ def _still(camera: RigCamera, views: list[View]) -> Still:
     near = np.zeros(median.shape[:2])
     for image in stack:
         near += cv2.inRange(cv2.absdiff(image, median), (0, 0, 0), (STILL_LEVELS - 1,) * 3) > 0
-    return Still(camera, median, near > STILL_SHARE * len(stack), _median_depth(views))
+    return Still(camera, median, near > STILL_SHARE * len(stack), _on_image(camera, _median_depth(views)))
 
 
 def _median_depth(views: list[View]) -> Float32 | None:
@@ -79,3 +82,15 @@ def _median_depth(views: list[View]) -> Float32 | None:
     never = np.isnan(stack).all(axis=0)
     stack[0, never] = 0
     return np.asarray(np.nanmedian(stack, axis=0), np.float32)
+
+
+def _on_image(camera: RigCamera, depth: Float32 | None) -> Float32 | None:
+    """Depth [H, W] as it was measured, m, at the pixels of the camera's image; 0 where nothing was."""
+    lens = camera.depth_lens
+    if depth is None or lens is None:
+        return depth
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    rays = pixel_rays(camera, np.stack([u.ravel(), v.ravel()], axis=1))
+    scale = np.array([camera.width / lens.width, camera.height / lens.height])
+    there = ((distort(lens, rays) + 0.5) * scale - 0.5).reshape(*depth.shape, 2).astype(np.float32)
+    return np.asarray(cv2.remap(depth, there[..., 0], there[..., 1], cv2.INTER_NEAREST), np.float32)
