@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.geometry import inverse_pose, looking_at, pose, transform
 from twin_node.rig.calibrate.barcodes import BLOCKS, LEAST_SETS, Barcodes, _correlation
-from twin_node.rig.calibrate.lenses import raw_pixels
+from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
 from twin_node.scene import Camera, Float64, FrameSet, Rig, RigCamera, UInt8, View
 
 WIDTH, HEIGHT = 160, 120
@@ -43,16 +43,19 @@ def seen(camera: RigCamera, balls: Float64, scale: int, wall: int) -> UInt8:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def recorded(rig: Rig, sets: int = 24, scale: int = 1, moves: bool = True, wall: int = 90) -> list[FrameSet]:
-    """Two balls that fly about."""
+def recorded(
+    rig: Rig, sets: int = 24, scale: int = 1, moves: bool = True, wall: int = 90, first_scale: int | None = None
+) -> list[FrameSet]:
+    """Two balls that fly about; the first camera's images are divided by a scale of their own."""
     out = []
     for n in range(sets):
         t = 0.9 * n if moves else 0.0
         balls = 0.35 * np.array([[np.sin(t), np.cos(1.3 * t), np.sin(0.7 * t)], [np.cos(0.6 * t + 2), np.sin(t), 0.5]])
         views = []
-        for camera in rig.cameras:
+        scales = [first_scale or scale] + [scale] * (len(rig.cameras) - 1)
+        for camera, own in zip(rig.cameras, scales, strict=True):
             known = Camera(camera.name, WIDTH, HEIGHT, camera.K, camera.T_base_cam)
-            views.append(View(known, n, seen(camera, balls, scale, wall)))
+            views.append(View(known, n, seen(camera, balls, own, wall)))
         out.append(FrameSet(n, tuple(views)))
     return out
 
@@ -78,6 +81,23 @@ def test_a_true_rig_explains_what_moves_at_any_size_and_brightness_of_the_images
     assert agreement.shape == (BLOCKS,)
     assert agreement.min() > 0.7
     assert agreement.max() <= 1
+
+
+@pytest.mark.parametrize(("scale", "first_scale"), [(1, 2), (2, 1)])
+def test_images_of_different_sizes_are_held_against_the_same_planes(scale: int, first_scale: int) -> None:
+    """A right rig with one narrow camera was accused of a mistake."""
+    rig = a_rig()
+    assert Barcodes(rig, recorded(rig, scale=scale, first_scale=first_scale)).agreement(rig).min() > 0.6
+
+
+def test_pixels_whose_ray_is_not_known_are_in_no_plane() -> None:
+    """The polynomial of this lens cannot be undone in the corners, which ended in a trace."""
+    rig = a_rig()
+    D = np.array([0.0, 0.1, 0.0, 0.0, 0.0, -0.4, 1.3, 2.1])
+    odd = replace(rig.cameras[0], distortion_model="rational_polynomial", D=D)
+    corner = np.zeros((1, 2))
+    assert np.isnan(pixel_rays(odd, corner)).all()
+    assert np.isfinite(Barcodes(rig, recorded(rig)).agreement(replace(rig, cameras=(odd, *rig.cameras[1:])))).all()
 
 
 @pytest.mark.parametrize("rotvec_deg", [(6, 0, 0), (0, 6, 0), (0, 0, 12), (0, 180, 0)])

@@ -80,9 +80,10 @@ class Barcodes:
     def _counts(self, rig: Rig, pair: tuple[int, int]) -> Float64:
         """[S, 4] per set the share of common half-planes that move in both images, in a only, in b only, in neither."""
         a, b = (rig.cameras[i] for i in pair)
-        bins = [_half_planes(a, b, self._rays(i, rig.cameras[i]), self._shapes[i][1]) for i in pair]
-        size = 1 + max((int(own.max()) for own in bins if len(own)), default=0)
-        common = np.all([np.bincount(own, minlength=size) >= LEAST_PIXELS for own in bins], axis=0)
+        width = min(self._shapes[i][1] for i in pair)
+        size = int(2 * np.pi * abs(a.K[0, 0]) * width / a.width / PLANE_PX)
+        bins = [_half_planes(a, b, self._rays(i, rig.cameras[i]), size) for i in pair]
+        common = np.all([np.bincount(own, minlength=size)[:size] >= LEAST_PIXELS for own in bins], axis=0)
         counts, planes = np.zeros((len(self._moving), 4)), np.count_nonzero(common)
         if planes < LEAST_PLANES:
             return counts
@@ -120,19 +121,20 @@ def _moving(images: Sequence[dict[int, UInt8]], cameras: int) -> list[dict[int, 
     return [row for row in found if len(row) > 1]
 
 
-def _half_planes(a: RigCamera, b: RigCamera, rays: Float64, width: int) -> NDArray[np.int64]:
-    """[n] bin of the half-plane about the line through both cameras that each ray [n, 3] lies in."""
+def _half_planes(a: RigCamera, b: RigCamera, rays: Float64, size: int) -> NDArray[np.int64]:
+    """[n] which of `size` half-planes about the line through both cameras each ray [n, 3] lies in; `size` of NaN."""
     base = b.T_base_cam[:3, 3] - a.T_base_cam[:3, 3]
     across = np.linalg.svd(base[None])[2][1:]
     angles = np.arctan2(rays @ across[1], rays @ across[0]) / (2 * np.pi) + 0.5
-    bins = int(2 * np.pi * abs(a.K[0, 0]) * width / a.width / PLANE_PX)
-    return np.asarray(np.minimum((angles * bins).astype(np.int64), bins - 1))
+    lies = np.isfinite(angles)
+    return np.where(lies, np.minimum((np.where(lies, angles, 0.0) * size).astype(np.int64), size - 1), size)
 
 
 def _hit(bins: NDArray[np.int64], size: int) -> Bool:
-    hit = np.zeros(size, np.bool_)
+    """[size] which half-planes are among the bins [n]."""
+    hit = np.zeros(size + 1, np.bool_)
     hit[bins] = True
-    return hit
+    return hit[:size]
 
 
 def _correlation(counts: Float64) -> float:
