@@ -94,6 +94,15 @@ def test_a_camera_is_timed_against_the_arm(recording: tuple[FrameSet, ...]) -> N
     assert found[0] - found[1] == pytest.approx(37.0, abs=0.3)
 
 
+def test_a_camera_that_has_the_arm_behind_it_follows_nothing(recording: tuple[FrameSet, ...]) -> None:
+    """One that stands beside the base, and that the arm swings past, ended the command in a trace."""
+    joints: list[JointSample] = []
+    (film,) = _films(cameras(recording), recording, joints)
+    away = replace(film.camera, T_base_cam=looking_at([-1.0, 0.0, 0.5], [-3.0, 0.0, 0.5]))
+    course = JointCourse(arm_model("ur5e"), joints)
+    assert len(follow(course, replace(film, camera=away), 0.0).links) == 0
+
+
 def test_a_feature_that_is_found_twice_makes_no_clock_surer(recording: tuple[FrameSet, ...]) -> None:
     """Every feature is sought anew five times a second and followed for more than one: on cells with known clocks one
     clock in eight was off by more than two stated sigma, and by as many as six."""

@@ -149,6 +149,8 @@ class _Surface:
         facing = (rays * np.einsum("nij,nj->ni", poses[:, :3, :3], self._surface.normals)).sum(1)
         local = placed @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         shown = (facing < FACING * np.linalg.norm(rays, axis=1)) & (local[:, 2] > 0.05)
+        if not shown.any():
+            return _Features(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 2)))
         pixels = local[shown, :2] / local[shown, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
         mask: UInt8 = np.zeros(film.grey.shape[1:], np.uint8)
         for pixel in np.rint(pixels - 0.5).astype(int).tolist():

@@ -234,7 +234,7 @@ def _barcode_costs(a: _Barcode, b: _Barcode, max_offset_s: float) -> Costs | Non
 
 
 def _angles(camera: Camera, baseline: Float64) -> Float64:
-    """[H * W] angle (rad) about the baseline of every pixel's ray, measured from where the camera looks."""
+    """[H * W] angle (rad) about the baseline of every pixel's ray, from downwards; from x about one that is upright."""
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     local = np.stack(
         [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1
