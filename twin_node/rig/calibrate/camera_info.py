@@ -54,9 +54,11 @@ def load_camera_info(path: Path) -> CameraInfo:
     K = fields.table("camera_matrix").array("data", (9,)).reshape(3, 3)
     D = fields.table("distortion_coefficients").array("data", None)
     model = fields.text("distortion_model") or "plumb_bob"  # drivers leave it empty where nothing is distorted
-    D = whole_coefficients(model, D)
+    is_straight, D = not len(D), whole_coefficients(model, D)
     check_intrinsics(str(path), K, (width, height))
     check_distortion(str(path), model, D)
+    if is_straight:  # a fisheye with coefficients of zero is not
+        model, D = "plumb_bob", whole_coefficients("plumb_bob", np.zeros(0))
     R = _given(fields, "rectification_matrix", np.eye(3))
     P = _given(fields, "projection_matrix", np.concatenate([K, np.zeros((3, 1))], axis=1))
     if np.linalg.matrix_rank(P[:, :3]) < 3:
