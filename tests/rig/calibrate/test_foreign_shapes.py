@@ -53,10 +53,11 @@ def test_camera_info_of_a_driver_that_tells_no_distortion(tmp_path: Path) -> Non
     path = tmp_path / "left.yaml"
     save_camera_info(a_lens(), path)
     content = yaml.safe_load(path.read_text())
-    content["distortion_model"], content["distortion_coefficients"] = "", {"rows": 1, "cols": 0, "data": []}
-    path.write_text(yaml.safe_dump(content))
-    lens = load_camera_info(path).lens
-    assert (lens.distortion_model, lens.D.tolist()) == ("plumb_bob", [0.0] * 5)
+    for model in ("", "plumb_bob", "equidistant"):
+        content["distortion_model"], content["distortion_coefficients"] = model, {"rows": 1, "cols": 0, "data": []}
+        path.write_text(yaml.safe_dump(content))
+        lens = load_camera_info(path).lens
+        assert (lens.distortion_model, lens.D.tolist()) == ("plumb_bob", [0.0] * 5)
 
 
 @pytest.mark.parametrize("size", ["image_width: 640.5\nimage_height: 480", "image_width: 640\nimage_height: -480"])
@@ -73,6 +74,14 @@ def test_images_numbered_alike_in_a_folder_per_camera_are_named_after_both(tmp_p
     poses = [f"{i} 1 0 0 0 {i} 0 0 1 {name}/0001.png\n\n" for i, name in enumerate(("left", "right"))]
     (tmp_path / "images.txt").write_text("".join(poses))
     assert [camera.name for camera in IMPORTERS["colmap"](tmp_path).rig.cameras] == ["left_0001", "right_0001"]
+
+
+@pytest.mark.parametrize("name", ["/", "."])
+def test_images_without_names_are_refused_as_cameras_of_one_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
+    (tmp_path / "images.txt").write_text("".join(f"{i} 1 0 0 0 {i} 0 0 1 {name}\n\n" for i in range(2)))
+    with pytest.raises(RigError, match="expected cameras with distinct names, found 'cam_' 2 times"):
+        IMPORTERS["colmap"](tmp_path)
 
 
 def stereo_file(path: Path, **replaced: str) -> Path:

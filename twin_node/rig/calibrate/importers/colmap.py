@@ -70,7 +70,7 @@ def _names(images: list[str]) -> list[str]:
     names = [Path(image).stem for image in images]
     if len(set(names)) == len(names):
         return names
-    return [Path(image).with_suffix("").as_posix().replace("/", "_") for image in images]
+    return [(Path(image).parent / Path(image).stem).as_posix().replace("/", "_") for image in images]
 
 
 def _camera(lens: ColmapCamera, image: ColmapImage, name: str, unit: float) -> RigCamera:
