@@ -103,6 +103,15 @@ def test_a_camera_that_has_the_arm_behind_it_follows_nothing(recording: tuple[Fr
     assert len(follow(course, replace(film, camera=away), 0.0).links) == 0
 
 
+@pytest.mark.parametrize("offset_s", [1.5, 1e12])
+def test_an_offset_that_no_instant_could_be_tried_with_is_refused(
+    recording: tuple[FrameSet, ...], offset_s: float
+) -> None:
+    """In milliseconds, as somebody might give it: it was said that no motion fits, or memory ran out."""
+    with pytest.raises(RigError, match=r"less than half the recording's 3\.0 s, found .*; give it in seconds"):
+        calibrate_clocks(cameras(recording), recording, arm_model("ur5e"), max_offset_s=offset_s)
+
+
 def test_a_feature_that_is_found_twice_makes_no_clock_surer(recording: tuple[FrameSet, ...]) -> None:
     """Every feature is sought anew five times a second and followed for more than one: on cells with known clocks one
     clock in eight was off by more than two stated sigma, and by as many as six."""

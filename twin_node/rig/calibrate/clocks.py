@@ -107,10 +107,17 @@ def calibrate_clocks(
 
     Offsets of more than `max_offset_s` are not found.
 
-    Raises `RigError` naming a camera that sees too little motion, or the arm where its joints are not told.
+    Raises `RigError` naming a camera that sees too little motion, the arm where its joints are not told, or an offset
+    that no instant of the recording could be tried with.
     """
     joints: list[JointSample] = []
     films = _films(cameras, sets, joints)
+    length_s = min(int(film.stamps[-1] - film.stamps[0]) for film in films) / 1e9
+    if 2 * max_offset_s >= length_s:
+        raise RigError(
+            f"clocks: expected a largest offset of less than half the recording's {length_s:.1f} s, found "
+            f"{max_offset_s:g} s; give it in seconds, or a longer recording"
+        )
     if arm is not None:
         if len(joints) < LEAST_JOINTS:
             raise RigError(
