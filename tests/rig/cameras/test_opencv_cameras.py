@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -166,6 +167,16 @@ def test_stamps_are_the_rigs_and_joints_come_beside_them(monkeypatch: pytest.Mon
     assert {frames.views[0].stamp - frames.views[1].stamp for frames in sets} == {12_000_000}
     assert sets[0].joints is not None and sets[0].joints.names == ("elbow_joint",)
     assert sets[-1].joints is None
+
+
+def test_joints_that_are_told_while_no_image_comes_are_not_kept_for_ever() -> None:
+    source = SynchronizedSource(Recorded(0), rig_of("a", "b"))
+    samples = [JointSample(number * 10**9, ("elbow_joint",), np.ones(1), np.zeros(1)) for number in range(5)]
+    first, last = weakref.ref(samples[0]), weakref.ref(samples[-1])
+    while samples:
+        source.add_joints(samples.pop(0))
+    assert first() is None
+    assert last() is not None
 
 
 def test_stamps_that_numpy_counts_are_as_good(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import queue
+import threading
 from collections.abc import Iterator
 
 from twin_node.rig.cameras.image_source import CameraImage, ImageSource
@@ -40,8 +40,8 @@ class SynchronizedSource:
         self._source = source
         timed = without_other_clocks(rig, since_1970=True)
         self._rig_cameras = {camera.name: camera for camera in timed.cameras}
-        self._joints: queue.SimpleQueue[JointSample] = queue.SimpleQueue()
         self._assembler = FrameAssembler(rig.cameras, width)
+        self._joints_told = threading.Lock()
         self._synchronizer: ApproximateTimeSynchronizer[CameraImage] = ApproximateTimeSynchronizer(names, parameters)
 
     @property
@@ -56,7 +56,8 @@ class SynchronizedSource:
 
     def add_joints(self, sample: JointSample) -> None:
         """Takes the arm's joints at one time of the rig's clock, from any thread; sets have those of their own time."""
-        self._joints.put(sample)
+        with self._joints_told:
+            self._assembler.add_joints(sample)
 
     def __iter__(self) -> Iterator[FrameSet]:
         """Sets in rising order of stamps, until the cameras are closed or this host's clock is put back.
@@ -72,13 +73,15 @@ class SynchronizedSource:
                 )
             stamp = self._rig_cameras[image.camera].rig_time(image.stamp)
             for ready in self._synchronizer.add(image.camera, stamp, image, clock.now()):
-                while not self._joints.empty():
-                    self._assembler.add_joints(self._joints.get())
-                yield self._assembler.assemble(_decoded(ready))
+                views = [self._assembler.view(name, one) for name, one in _decoded(ready).items()]
+                with self._joints_told:
+                    frames = self._assembler.assemble_views(views)
+                yield frames
 
     def _begin_anew(self) -> None:
         self._synchronizer.reset()
-        self._assembler.reset()
+        with self._joints_told:
+            self._assembler.reset()
 
 
 def _decoded(ready: SyncSet[CameraImage]) -> dict[str, DecodedImage]:
