@@ -93,6 +93,13 @@ def test_a_picture_without_a_board_has_no_corners(kind: str) -> None:
     assert BOARDS[kind].detect(cv2.GaussianBlur(noise, (0, 0), 3).astype(np.uint8)) is None
 
 
+@pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.parametrize("shape", [(1, 1), (14, 60), (60, 14), (20, 4000)])
+def test_a_picture_too_small_for_any_board_has_no_corners(kind: str, shape: tuple[int, int]) -> None:
+    """One of a few pixels ended in a trace of OpenCV's."""
+    assert BOARDS[kind].detect(np.zeros(shape, np.uint8)) is None
+
+
 def test_an_unknown_dictionary_is_refused() -> None:
     with pytest.raises(RigError, match="DICT_9X9"):
         CharucoBoard(5, 4, 0.04, 0.03, "DICT_9X9").detect(np.zeros((100, 100), np.uint8))

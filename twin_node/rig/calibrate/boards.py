@@ -27,6 +27,9 @@ SEARCH_PX = 1920
 """Longest side of the images that a chessboard is looked for in: one that is half hidden takes OpenCV 4 s there, and 80
 in one twice as wide."""
 
+SMALLEST_PX = 15
+"""Least side of an image that OpenCV looks for a chessboard in; in smaller ones, which show none, it raises."""
+
 
 @dataclass(frozen=True)
 class Corners:
@@ -102,6 +105,8 @@ class Chessboard:
     def detect(self, grey: UInt8) -> Corners | None:
         """All inner corners, the first beside a dark outer square where the board tells its turn; or None."""
         small = _within(grey, SEARCH_PX)
+        if min(small.shape) < SMALLEST_PX:
+            return None
         found, corners = cv2.findChessboardCorners(small, (self.columns, self.rows))
         if not found:
             return None
