@@ -63,6 +63,8 @@ def test_pages_are_the_same_every_time_and_tell_their_paper(tmp_path: Path, caps
 def test_what_cannot_be_printed_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"ending in \.pdf"):
         print_board(BOARDS[0], tmp_path / "board.docx")
+    with pytest.raises(RigError, match=r"500 million pixels .* 20400 x 20414 mm; write a \.pdf or \.svg"):
+        print_board(Chessboard(99, 99, 0.2), tmp_path / "board.png")  # it took all memory
     with pytest.raises(RigError, match="does not exist"):
         print_board(BOARDS[0], tmp_path / "nowhere" / "board.pdf")
     with pytest.raises(RigError, match="at most 50 markers"):

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FORMATS = (".pdf", ".svg", ".png")
 INCH_M, DPI = 0.0254, 300
 """Resolution of PNG files, dots per inch: what office printers print."""
+MOST_PIXELS = 500e6
+"""Of a PNG file: a page two metres wide and high; half as wide again would take all memory of a small computer."""
 CAPTION_M = 0.014
 """Height of the strip below the board that says what it is and shows a bar to measure."""
 BAR_M = 0.1
@@ -133,24 +135,31 @@ def _(board: CircleGrid) -> BoardPrint:
 def print_board(board: Board, path: Path) -> BoardPrint:
     """Writes a board at true scale to a `.pdf`, `.svg` or `.png` file.
 
-    Raises `RigError` for another suffix, a folder that does not exist, or a board without a drawing.
+    Raises `RigError` for another suffix, a folder that does not exist, a board without a drawing, or one that is too
+    large for pixels.
     """
     if path.suffix.lower() not in FORMATS:
         raise RigError(f"{path}: expected a name ending in {', '.join(FORMATS)}, found {path.suffix or 'no suffix'!r}")
     if not path.parent.is_dir():
         raise RigError(f"{path}: folder {path.parent} does not exist; create it first")
+    drawing = draw_board(board)
+    width, height = drawing.page_m
+    form = path.suffix.lower()
+    if form == ".png" and width * height * (DPI / INCH_M) ** 2 > MOST_PIXELS:
+        raise RigError(
+            f"{path}: expected a page of at most {MOST_PIXELS / 1e6:.0f} million pixels at {DPI} dpi, found one of "
+            f"{1000 * width:.0f} x {1000 * height:.0f} mm; write a .pdf or .svg, which have none"
+        )
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    drawing = draw_board(board)
-    width, height = drawing.page_m
     figure = Figure(figsize=(width / INCH_M, height / INCH_M))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
     _draw(axes, drawing)
     _caption(axes, board, drawing)
-    form, page = path.suffix.lower(), io.BytesIO()
+    page = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "board", "svg.fonttype": "none"}):
         figure.savefig(page, format=form[1:], dpi=DPI, metadata=_UNDATED.get(form))
     with whole_file(path, RigError) as partial:  # on a full disk Matplotlib would trip over its own PDF
