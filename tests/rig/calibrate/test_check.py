@@ -147,6 +147,8 @@ def test_a_camera_that_is_in_no_set_is_told_and_the_others_are_judged() -> None:
     assert verdict.unseen == (late,)
     assert verdict.agreement is not None and verdict.agreement > 0.35
     assert check_against_recording(rig, without_depth(sets)).unseen == ()
+    alone = check_against_recording(rig, [], ur_model("ur5e"))  # so did a log without any set
+    assert alone == replace(check_numbers(rig), unseen=tuple(camera.name for camera in rig.cameras))
 
 
 @pytest.mark.parametrize("seed", [1, 9])

@@ -108,7 +108,8 @@ def check_against_recording(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | 
     shown = {view.camera.name for frames in sets for view in frames.views}
     seeing = replace(rig, cameras=tuple(camera for camera in rig.cameras if camera.name in shown))
     unseen = tuple(camera.name for camera in rig.cameras if camera.name not in shown)
-    return replace(_against_sets(seeing, sets, arm, by_numbers), unseen=unseen)
+    found = _against_sets(seeing, sets, arm, by_numbers) if seeing.cameras else by_numbers
+    return replace(found, unseen=unseen)
 
 
 def _against_sets(rig: Rig, sets: Sequence[FrameSet], arm: ArmModel | None, by_numbers: Verdict) -> Verdict:
