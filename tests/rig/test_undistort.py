@@ -215,7 +215,9 @@ def test_an_image_that_the_calibration_is_not_for(image: UInt8) -> None:
         Undistorter(PINHOLE).view(0, image)
 
 
-@pytest.mark.parametrize(("shape", "is_refused"), [((240, 320), True), ((270, 160), True), ((91, 160), False)])
+@pytest.mark.parametrize(
+    ("shape", "is_refused"), [((240, 320), True), ((270, 160), True), ((0, 0), True), ((91, 160), False)]
+)
 def test_depth_of_another_shape_than_the_images_is_refused(shape: tuple[int, int], is_refused: bool) -> None:
     """Of a part of the image, or another mode: it was stretched over the image, in silence."""
     image, depth = np.zeros((270, 480, 3), np.uint8), np.ones(shape, np.float32)

@@ -146,7 +146,7 @@ class Undistorter:
     def _make_depth_map(self, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Bool]:
         """Where [H, W] in the depth image, row by row, every output pixel's nearest is, and whether inside of it."""
         lens = self._depth_lens
-        if abs(shape[1] * lens.height / (shape[0] * lens.width) - 1) > OTHER_SHAPE:
+        if abs(shape[1] * lens.height / (max(shape[0], 1) * lens.width) - 1) > OTHER_SHAPE:
             raise RigError(
                 f"camera {self._raw.name}: expected depth of all that its image shows, so of the shape of "
                 f"{lens.width}x{lens.height}, found {shape[1]}x{shape[0]}; let the driver align it with the image, or "
