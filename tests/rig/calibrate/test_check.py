@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -203,6 +204,17 @@ def test_depth_tells_a_rig_that_a_board_of_another_size_has_made() -> None:
     (finding,) = check_against_recording(everywhere(true, in_unit(1.06)), sets).findings
     assert finding.mistake is Mistake.SIZE
     assert "6 % too large" in str(finding)
+
+
+def test_cameras_in_one_place_are_not_taken_for_millimetres() -> None:
+    """So imported single cameras stand: their poses are unknown."""
+    true, _ = recorded(1)
+    rig = everywhere(true, lambda camera: moved(camera, np.eye(4)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (finding,) = check_numbers(rig).findings
+    assert finding.mistake is None
+    assert "they stand in one place" in str(finding)
 
 
 @settings(max_examples=25)

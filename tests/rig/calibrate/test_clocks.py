@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import cv2
@@ -223,6 +224,11 @@ def test_without_an_arm_cameras_are_timed_against_the_first() -> None:
     ]
     with pytest.raises(RigError, match="camera early: expected motion that another camera sees too"):
         calibrate_clocks([*rig[:2], blind], alone)
+    here = [replace(one, T_base_cam=rig[0].T_base_cam) for one in rig]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(RigError, match=r"camera late: expected motion .* and check the extrinsics"):
+            calibrate_clocks(here, sets)
 
 
 def test_slopes_that_last_at_once_err_together_by_what_they_share() -> None:

@@ -155,6 +155,16 @@ def test_surfaces_that_leave_a_motion_open_are_refused() -> None:
         refine_rig(Rig(cameras), blank, None)
 
 
+def test_cameras_in_one_place_are_refused() -> None:
+    """Of imported single cameras nothing but the lenses is known: matches without epipolar lines ended in a trace."""
+    rig, stills = over_a_table(np.random.default_rng(0))
+    first = rig.cameras[0].T_base_cam
+    cameras = tuple(replace(camera, T_base_cam=first) for camera in rig.cameras)
+    there = tuple(replace(still, camera=camera) for still, camera in zip(stills, cameras, strict=True))
+    with pytest.raises(RigError, match=r"cameras .* and .*: expected poses .*, found both in one place"):
+        refine_rig(replace(rig, cameras=cameras), there, None)
+
+
 def blotches(rng: np.random.Generator) -> np.ndarray:
     """[1200, 1200] a texture of one metre and a fifth, 1 mm per pixel."""
     noise = sum(s * cv2.GaussianBlur(rng.normal(size=(1200, 1200)).astype(np.float32), (0, 0), s) for s in (4, 9, 20))

@@ -177,6 +177,8 @@ def _against_each_other(films: Sequence[Film], max_offset_s: float) -> tuple[Cam
     moving = [_moving(film) for film in films]
     edges = []
     for a, b in combinations(range(len(films)), 2):
+        if np.array_equal(films[a].camera.T_base_cam[:3, 3], films[b].camera.T_base_cam[:3, 3]):
+            continue  # two of one place have no epipolar planes
         planes = _EpipolarPlanes(films[a].camera, films[b].camera)
         costs = _barcode_costs(
             _Barcode(films[a].stamps, planes.sums(moving[a], 0)),

@@ -76,6 +76,11 @@ def _identity(camera: RigCamera) -> bytes:
 def _poses_objection(poses: Float64) -> Finding | None:
     """Why nobody places cameras at these poses [N, 4, 4]."""
     reach = _reach_m(poses)
+    if reach is not None and reach * max(UNITS_M.values()) < NEAREST_M:
+        return Finding(
+            "",
+            "they stand in one place, as where nobody knows their poses: calibrate them together, before a board",
+        )
     if reach is not None and not NEAREST_M <= reach <= FARTHEST_M:
         unit = _likely_unit(reach)
         return Finding(

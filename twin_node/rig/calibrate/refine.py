@@ -30,6 +30,8 @@ LEAST_SIGMA_M = 0.001
 """No rig is stated to be better than this: what medians of video leave."""
 DISTINCT = 1.08
 """How many times the misfit of the best map of the ground its rival's must be: below it the pattern repeats."""
+LEAST_APART_M = 0.001
+"""Cameras nearer to each other are said to be in one place."""
 LEAST_MATCHES = 24
 """Matches that a pair of cameras must share to count as connected."""
 TURN_DEG, MOVE_M = 2.0, 0.03
@@ -89,6 +91,7 @@ def refine_rig(rig: Rig, stills: Sequence[Still], plane: Float64 | None) -> Refi
     """
     if measured_by_depth(stills):
         return _by_depth(rig, stills)
+    _check_apart(rig.cameras)
     features = feature_matches(stills)
     now = Adjusted(rig.cameras, plane)
     seen = _Seen((), (), 0.0)
@@ -183,6 +186,16 @@ def _half(matches: Matches, part: int) -> Matches:
         return matches
     step = 2 * max(len(matches) // (2 * MOST_MATCHES), 1)
     return matches.where(np.arange(len(matches)) % step == part)
+
+
+def _check_apart(cameras: Sequence[RigCamera]) -> None:
+    """Between cameras in one place are no epipolar lines."""
+    for a, b in combinations(cameras, 2):
+        if np.linalg.norm(a.T_base_cam[:3, 3] - b.T_base_cam[:3, 3]) < LEAST_APART_M:
+            raise RigError(
+                f"refine: cameras {a.name} and {b.name}: expected poses that are right to a degree or two, found both "
+                "in one place, as where nobody knows where they stand; calibrate with a board"
+            )
 
 
 def _check_connected(cameras: Sequence[RigCamera], matches: Sequence[Matches], skipped: Sequence[str]) -> None:
