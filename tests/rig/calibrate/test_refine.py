@@ -155,6 +155,13 @@ def test_surfaces_that_leave_a_motion_open_are_refused() -> None:
         refine_rig(Rig(cameras), blank, None)
 
 
+def test_a_camera_alone_is_refused() -> None:
+    """It was written as it was, and said to be told to a millimetre."""
+    rig, stills = over_a_table(np.random.default_rng(0))
+    with pytest.raises(RigError, match=r"camera \w+: expected another camera to hold it against"):
+        refine_rig(replace(rig, cameras=rig.cameras[:1]), stills[:1], None)
+
+
 def test_cameras_in_one_place_are_refused() -> None:
     """Of imported single cameras nothing but the lenses is known: matches without epipolar lines ended in a trace."""
     rig, stills = over_a_table(np.random.default_rng(0))

@@ -189,7 +189,12 @@ def _half(matches: Matches, part: int) -> Matches:
 
 
 def _check_apart(cameras: Sequence[RigCamera]) -> None:
-    """Between cameras in one place are no epipolar lines."""
+    """Nothing is held against a camera alone, and between cameras in one place are no epipolar lines."""
+    if len(cameras) < 2:
+        raise RigError(
+            f"refine: camera {cameras[0].name}: expected another camera to hold it against, found it alone; calibrate "
+            "it with a board (`calibrate hand-eye`)"
+        )
     for a, b in combinations(cameras, 2):
         if np.linalg.norm(a.T_base_cam[:3, 3] - b.T_base_cam[:3, 3]) < LEAST_APART_M:
             raise RigError(
