@@ -109,6 +109,23 @@ def test_a_camera_that_fails_is_opened_again() -> None:
     source.close()
 
 
+class Runs(FailsOnce):
+    """A camera that goes on and on."""
+
+    def read(self) -> tuple[bool, Any]:
+        return True, np.zeros((4, 4, 3), np.uint8)
+
+
+def test_images_that_are_asked_for_again_come_from_the_same_camera() -> None:
+    """Each time another thread opened it once more: a video's images came twice, a USB camera was busy."""
+    opened: list[int] = []
+    source = OpenCvSource([OpenCvCamera("usb", "0")], lambda address: Runs(opened))
+    first, second = next(source.images()), next(source.images())
+    source.close()
+    assert first.stamp < second.stamp
+    assert len(opened) == 1
+
+
 def rig_of(*names: str) -> Rig:
     K = np.array([[30.0, 0, 15.5], [0, 30.0, 11.5], [0, 0, 1]])
     poses = np.stack([np.eye(4)] * len(names))

@@ -54,8 +54,8 @@ class ThreadedSource(ABC, Generic[C]):
         return tuple(replace(self._health[name], lost=self._queue.lost(name)) for name in self.cameras)
 
     def images(self) -> Iterator[CameraImage]:
-        """Images as they come, until the source is closed."""
-        for camera in self._cameras:
+        """Images as they come, until the source is closed; asked again, it goes on with the same cameras."""
+        for camera in self._cameras[len(self._threads) :]:
             thread = threading.Thread(target=self._serve, args=(camera,), name=camera.name, daemon=True)
             self._threads.append(thread)
             thread.start()
