@@ -109,6 +109,7 @@ def test_a_rectified_pair_of_ros_stands_as_opencv_rectified_it(tmp_path: Path) -
         (tmp_path / f"{name}.yaml").write_text(
             yaml.safe_dump({"image_width": 640, "image_height": 480, **info, **lens})
         )
+    (tmp_path / "._left.yaml").write_bytes(b"\0\5\x16\7")  # macOS leaves such beside what it copies
     left, right = IMPORTERS["camera_info"](tmp_path, UNIT_M).rig.cameras
     points = np.array([[0.1, 0.2, 1.5], [-0.3, 0.0, 2.0]])  # m, as the left camera sees them
     seen = points @ np.asarray(turn).T + UNIT_M * shift.T

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.geometry import pose
+from twin_node.picture_files import listed
 from twin_node.rig.calibrate.camera_info import CameraInfo, load_camera_info
 from twin_node.rig.calibrate.importers.foreign_camera import foreign_camera, foreign_rig
 from twin_node.rig.rig_file import RigFile
@@ -17,7 +18,7 @@ NOTES = "From ROS camera_info: poses are those of the rectified pair; of single 
 
 def import_camera_info(path: Path, unit: float = 1.0) -> RigFile:
     """Cameras of one file or of all YAML files of a folder, in the first rectified frame (REP-104)."""
-    paths = sorted([*path.glob("*.yaml"), *path.glob("*.yml")]) if path.is_dir() else [path]
+    paths = [file for file in listed(path) if file.suffix in (".yaml", ".yml")] if path.is_dir() else [path]
     cameras = []
     for file in paths:
         info = load_camera_info(file)
