@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -78,6 +80,16 @@ def test_a_board_that_is_not_flat_leaves_the_lens_as_it_is(bow_mm: float) -> Non
     assert calibration.sigmas[0] < 0.005 * truth.K[0, 0]
     x = BOARD.points[:, 0] - BOARD.points[:, 0].mean()
     assert calibration.board.off_m == pytest.approx(1e-3 * bow_mm * np.std((x / x.max()) ** 2), rel=0.1)
+
+
+@pytest.mark.parametrize("bow_mm", [0.0, 8.0])
+def test_corners_that_no_picture_shows_are_no_matter(bow_mm: float) -> None:
+    """Of a board whose corner was cut off, or hidden by a hand, in all pictures calibrating ended in a trace."""
+    truth = a_lens("plumb_bob", 1280, 720, 900.0)
+    views = views_of(truth, 12, 0.5, np.random.default_rng(3), bow_m=bow_mm / 1e3)
+    shown = [replace(view, corners=view.corners.chosen(~np.isin(view.corners.ids, [0, 7, 47]))) for view in views]
+    calibration = calibrate_lens(BOARD, shown, (1280, 720))
+    assert np.median(off_px(calibration.lens, truth)) < 3
 
 
 def test_boards_that_hardly_tilt_leave_the_focal_length_open() -> None:

@@ -17,7 +17,8 @@ NOWHERE = -1
 """Outer column of what is not an unknown."""
 
 HELD = 1e-6
-"""Weight with which inner unknowns are held that nothing speaks of: a board's course where all images were misread."""
+"""Weight with which unknowns are held that nothing speaks of: a board's course where all images were misread, and its
+corners that no image shows."""
 
 
 LEAST_TOLD = 1e-13
@@ -68,7 +69,8 @@ class NormalEquations:
         """Changes of the inner and the outer unknowns that the slopes call for, the diagonal raised by a share."""
         A, B, C = self._A.T.copy(), self._B[:, :-1], self._C[:-1, :-1].copy()
         A[0] = A[0] * (1 + damping) + HELD
-        C[np.diag_indices_from(C)] *= 1 + damping
+        own = np.diag(C)
+        C[np.diag_indices_from(C)] = np.where(own > 0, own * (1 + damping), HELD)
         factor = (cholesky_banded(A, lower=True), True)
         reach = cho_solve_banded(factor, np.concatenate([B, self._a[:, None]], axis=1))
         schur = C - B.T @ reach[:, :-1]
