@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,14 +75,19 @@ class Carver:
         """[H, W] depth that a view of the last state measures, without its noise where that has been averaged, m."""
         return self._backdrops.calmed(view)
 
-    def frees(self, state: TwinState, indices: NDArray[np.int64]) -> Bool:
-        """Whether some camera frees each of the voxels `indices` [n]."""
+    def frees(self, state: TwinState, indices: NDArray[np.int64], through: Mapping[str, Bool] | None = None) -> Bool:
+        """Whether some camera frees each of the voxels `indices` [n]; `through`: by these of its pixels [H, W] alone, a
+        camera without any by none."""
         places = self._blocks.locate(indices)
         freed = np.zeros(len(indices), np.bool_)
         sights = self._last[1] if self._last is not None and self._last[0] is state else self._sights(state, 0.0)
         for sight in sights:
             seen = sight.table.at(places)
-            freed |= seen.depth < sight.free_until[seen.pixels]
+            frees = seen.depth < sight.free_until[seen.pixels]
+            if through is not None:
+                mask = through.get(sight.table.camera.name)
+                frees &= np.append(mask, False)[seen.pixels] if mask is not None else False
+            freed |= frees
         return freed
 
     def _sights(self, state: TwinState, speed: float) -> list[Sight]:

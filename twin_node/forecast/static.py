@@ -55,8 +55,10 @@ class StaticSpace:
         """What cameras without depth do not see past, the same until it is refreshed: what some camera has measured, or
         where none measures, what the Gaussians fill."""
         self._layer = _standing(np.zeros(0, np.uint32))
-        self._measured, self._moved = Bits.none(grid.dims), Bits.none(grid.dims)
-        """Since it was refreshed: what stands by its measured surface alone, and what something was seen to move in."""
+        self._measured = Bits.none(grid.dims)
+        """What stands by its measured surface alone."""
+        self._moved: dict[str, Bool] = {}
+        """By camera, the pixels [H, W] that have shown something move since the layer was refreshed."""
         self._made_at: int | None = None
         self._turn = 0
 
@@ -72,7 +74,8 @@ class StaticSpace:
         if own is not None and self._doubtful is not None:
             self._surfaces[self._around(own).mask() & self._doubtful] = False
             self._doubtful, self._made_at = None, None
-        if self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns:
+        is_due = self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns
+        if is_due:
             chosen = range(count) if self._made_at is None else (self._turn % count,)
             self._made_at = state.stamp
             self._turn += 1
@@ -83,28 +86,29 @@ class StaticSpace:
             occupied, measured = self._surfaces.copy(), self._surfaces.copy()
             occupied[filled], measured[filled] = True, False
             self._layer = _standing(np.flatnonzero(occupied))
-            self._measured, self._moved = Bits.of_mask(self.grid.dims, measured), Bits.none(self.grid.dims)
-        elif carved is not None:
-            self._leave(carved)
-        if carved is not None:
-            self._moved = self._moved | carved.likely_moves
+            self._measured = Bits.of_mask(self.grid.dims, measured)
+            self._moved.clear()
+        for view, moving in zip(state.frames.views, state.moving_masks, strict=True):
+            before = self._moved.get(view.camera.name, moving)
+            self._moved[view.camera.name] = moving | before if before.shape == moving.shape else moving
+        if carved is not None and not is_due:
+            self._leave(state, carver, carved)
         return self._layer
 
-    def _leave(self, carved: Carved) -> None:
+    def _leave(self, state: TwinState, carver: Carver, carved: Carved) -> None:
         """Takes out the surfaces of what has moved and is seen to be gone.
 
         Who had stood there since the first images was told to stand, and so was the place that they left, until every
-        camera's turn had come. Only what moved is asked for: noise frees a voxel of what stands now and then.
+        camera's turn had come. Only through pixels that have shown something move: noise frees a voxel of what stands
+        now and then.
         """
-        moved = self._measured & self._moved
-        if not moved.words.any():
-            return
-        left = moved.without(carved.may_move | carved.unknown | carved.on_arm)
-        if not left.words.any():
-            return  # the layer stays the one that it was, and what follows from it too
-        self._surfaces[left.indices()] = False
-        self._measured = self._measured.without(left)
-        self._layer = _standing(self._layer.indices[~left.holds(self._layer.indices)])
+        free = self._measured.without(carved.may_move | carved.unknown | carved.on_arm).indices()
+        gone = free[carver.frees(state, free, self._moved)]
+        if len(gone):  # else the layer stays the one that it was, and what follows from it too
+            left = Bits.of_indices(self.grid.dims, gone)
+            self._surfaces[gone] = False
+            self._measured = self._measured.without(left)
+            self._layer = _standing(self._layer.indices[~left.holds(self._layer.indices)])
 
     def _around(self, own: Bits) -> Bits:
         for _ in range(math.ceil(STRAYS_M / self.grid.voxel_size)):
