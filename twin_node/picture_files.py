@@ -14,8 +14,9 @@ JPEG_SIGNATURE, START_OF_SCAN, END_OF_IMAGE = b"\xff\xd8\xff", b"\xff\xda", b"\x
 """Markers of a JPEG (ITU T.81, section B.1.1); the data of a scan hold none of them."""
 PROGRESSIVE = (b"\xff\xc2", b"\xff\xc6", b"\xff\xca", b"\xff\xce")
 """Markers of those whose every scan draws the whole picture, sharper than the one before."""
-NOTHING_LEFT = 128
-"""All channels of the pixels for which a JPEG has no data: libjpeg takes their coefficients to be zero."""
+NOTHING_LEFT, BLOCK_PX = 128, 8
+"""All channels of the pixels for which a JPEG has no data, and the side of the blocks that these come in: libjpeg takes
+their coefficients to be zero."""
 MORE_DATA = b"".join(bytes(range(1, 65)) + bytes((0xFF, 0xD0 + interval)) for interval in range(8))
 """Data of a scan, each followed by the marker that begins another interval, that draw pixels where some are still to be
 drawn, and are not read where none are."""
@@ -51,9 +52,12 @@ def is_cut_jpeg(data: bytes, picture: NDArray[Any]) -> bool:
     """Whether a picture's data are a JPEG that holds only its upper part, with an end marker or without.
 
     OpenCV draws the rest grey. Bytes that a camera or its cable lost leave one, too. `picture`: [H, W] or [H, W, C] as
-    decoded, not turned. Of a progressive JPEG it does not tell: its picture is whole, and less sharp.
+    decoded, not turned. Of a progressive JPEG it does not tell: its picture is whole, and less sharp. Nor does it where
+    a part of the last row of blocks is all that is lost: single grey blocks are no rare sight, and of each picture that
+    is whole after all libjpeg writes a line to stderr.
     """
-    if (picture[-1, -1] != NOTHING_LEFT).any() or not _one_scan(data):
+    last_row = picture[-((len(picture) - 1) % BLOCK_PX + 1) :]
+    if (last_row != NOTHING_LEFT).any() or not _one_scan(data):
         return False
     end = data.find(END_OF_IMAGE, _head(data))
     longer = (data if end < 0 else data[:end]) + MORE_DATA
