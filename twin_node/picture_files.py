@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ JPEG_SIGNATURE, START_OF_SCAN, END_OF_IMAGE = b"\xff\xd8\xff", b"\xff\xda", b"\x
 """Markers of a JPEG (ITU T.81, section B.1.1); the data of a scan hold none of them."""
 PROGRESSIVE = (b"\xff\xc2", b"\xff\xc6", b"\xff\xca", b"\xff\xce")
 """Markers of those whose every scan draws the whole picture, sharper than the one before."""
+PNG_SIGNATURE, PNG_HEAD_BYTES = b"\x89PNG", 8
+"""What a PNG begins with, and all that is before its first chunk."""
+PNG_CHUNK = struct.Struct(">I4s")
+"""Before a chunk's data: their length and its name. Behind them are four bytes of checksum."""
 NOTHING_LEFT, BLOCK_PX = 128, 8
 """All channels of the pixels for which a JPEG has no data, and the side of the blocks that these come in: libjpeg takes
 their coefficients to be zero."""
@@ -35,10 +40,12 @@ def decode_picture(data: bytes, flags: int) -> NDArray[Any] | None:
 
     Of a JPEG whose end marker alone is missing, as some cameras leave it out, the picture.
     """
-    if _one_scan(data) and lacks_end(data):
+    if not data or _is_cut_png(data):
+        return None
+    if lacks_end(data) and _one_scan(data):
         data += END_OF_IMAGE
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:  # what its head says of its size is beyond all images
         return None
 
@@ -69,6 +76,17 @@ def is_cut_jpeg(data: bytes, picture: NDArray[Any]) -> bool:
 def listed(folder: Path) -> list[Path]:
     """What a folder holds in order of names, but for what is hidden: macOS leaves a `._NAME` beside what it copies."""
     return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def _is_cut_png(data: bytes) -> bool:
+    """Whether data are a PNG one of whose chunks goes on beyond their end: OpenCV takes as much memory first, 4 GB."""
+    if not data.startswith(PNG_SIGNATURE):
+        return False
+    place, name = PNG_HEAD_BYTES, b""
+    while name != b"IEND" and place + PNG_CHUNK.size <= len(data):
+        length, name = PNG_CHUNK.unpack(data[place : place + PNG_CHUNK.size])
+        place += PNG_CHUNK.size + length + 4
+    return place > len(data)
 
 
 def _one_scan(data: bytes) -> bool:

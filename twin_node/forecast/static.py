@@ -102,6 +102,8 @@ class StaticSpace:
         camera's turn had come. Only through pixels that have shown something move: noise frees a voxel of what stands
         now and then.
         """
+        if not any(pixels.any() for pixels in self._moved.values()):
+            return
         free = self._measured.without(carved.may_move | carved.unknown | carved.on_arm).indices()
         gone = free[carver.frees(state, free, self._moved)]
         if len(gone):  # else the layer stays the one that it was, and what follows from it too

@@ -16,7 +16,7 @@ from twin_node.messages.convert.zstd_transport import FORMAT as ZSTD
 from twin_node.messages.convert.zstd_transport import packed_encoding, unpack_image
 from twin_node.messages.stamps import header, header_stamp
 from twin_node.messages.types import DamagedError, Message, MessageError, message_type
-from twin_node.picture_files import JPEG_SIGNATURE, decode_picture, is_cut_jpeg
+from twin_node.picture_files import JPEG_SIGNATURE, PNG_SIGNATURE, decode_picture, is_cut_jpeg
 from twin_node.scene import Float32, UInt8
 
 JPEG_QUALITY = 95
@@ -57,11 +57,6 @@ MOSAIC = re.compile(r"(bayer_(?:rggb|bggr|gbrg|grbg))(?:8|16)\b")
 
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 MM_PER_M = 1000.0
-PNG_SIGNATURE = b"\x89PNG"
-PNG_HEAD_BYTES = 8
-"""Before a PNG's first chunk."""
-PNG_CHUNK = struct.Struct(">I4s")
-"""Before a chunk's data: their length and its name. Behind them are four bytes of checksum."""
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
 """ConfigHeader of compressed_depth_image_transport: compression format, depth quantisation A and B."""
@@ -293,7 +288,7 @@ def _decode_depth(message: Message, data: UInt8, *kinds: type[np.generic]) -> ND
 
 def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
     packed = data.tobytes()
-    decoded = None if _is_cut_png(packed) else decode_picture(packed, flags)
+    decoded = decode_picture(packed, flags)
     if decoded is None:
         raise DamagedError(
             f"{_name(message)}: {len(data)} bytes of format {message.format!r} cannot be decoded as an image; the "
@@ -305,17 +300,6 @@ def _decode(message: Message, data: UInt8, flags: int) -> NDArray[Any]:
             "frame is damaged"
         )
     return decoded
-
-
-def _is_cut_png(data: bytes) -> bool:
-    """Whether data are a PNG one of whose chunks goes on beyond their end: OpenCV takes as much memory first, 4 GB."""
-    if not data.startswith(PNG_SIGNATURE):
-        return False
-    place, name = PNG_HEAD_BYTES, b""
-    while name != b"IEND" and place + PNG_CHUNK.size <= len(data):
-        length, name = PNG_CHUNK.unpack(data[place : place + PNG_CHUNK.size])
-        place += PNG_CHUNK.size + length + 4
-    return place > len(data)
 
 
 def _rows(message: Message, dtype: np.dtype[Any], channels: int, rows_held: int | None = None) -> NDArray[Any]:
