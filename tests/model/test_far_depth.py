@@ -10,7 +10,7 @@ from model_scenes import camera, frames, rig, sliding
 
 from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.far_depth import FarDepth
-from twin_node.scene import FrameSet, Tier
+from twin_node.scene import Float64, FrameSet, Tier
 
 QUICK = ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5)
 CAMERAS = rig()
@@ -62,3 +62,18 @@ def test_the_end_of_sixteen_bits_is_far_for_any_rig() -> None:
     views = tuple(replace(view, depth=np.full((6, 8), 65.535, np.float32)) for view in one.views)
     seen = FarDepth(cameras).without(replace(one, views=views))
     assert not any(np.any(view.depth) for view in seen.views)
+
+
+def test_a_rig_that_stands_near_what_it_looks_at_measures_a_room() -> None:
+    """25 times as far as cameras stand from the thing between them would be the wall behind it."""
+    near = [replace(one, T_base_cam=_nearer(one.T_base_cam)) for one in CAMERAS]
+    one = frames(0, None, near, depth=True)
+    walls = replace(one, views=tuple(replace(view, depth=np.full_like(view.depth, 8.0)) for view in one.views))
+    assert FarDepth(near).without(walls) is walls
+
+
+def _nearer(T_base_cam: Float64) -> Float64:
+    """Towards where the cameras look, a tenth as far from it."""
+    T = T_base_cam.copy()
+    T[:3, 3] *= 0.1
+    return T

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin_node.model.sweep import shell_around
+from twin_node.model.sweep import LEAST_RADIUS, shell_around
 from twin_node.scene import Camera, FrameSet, View
 
 REACHES = 25.0
 """How many times as far as the farthest camera is from what all look at a depth may be: 25 m where that is 1 m, farther
-than any wall that counts, and far less than millimetres that were taken for metres."""
+than any wall that counts, and far less than millimetres that were taken for metres. No less than 12.5 m: a room stands
+around the nearest of rigs, too."""
 FARTHEST_M = 65.0
 """What a depth may be in any case: 16 bits of millimetres end at 65.535 m, which sensors send for nothing measured."""
 MOST_OF = 0.5
@@ -23,7 +24,8 @@ class FarDepth:
     """Takes depth that is no measurement out of one rig's images: it would free all space before it."""
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
-        self._farthest = np.float32(min(shell_around(cameras, REACHES).radius, FARTHEST_M))
+        farthest_m = min(max(shell_around(cameras, REACHES).radius, REACHES * LEAST_RADIUS), FARTHEST_M)
+        self._farthest = np.float32(farthest_m)
         self.warnings: tuple[str, ...] = ()
         """What a reader must know of the newest set: one line per camera most of whose depth is so far."""
 

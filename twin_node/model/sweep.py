@@ -31,6 +31,10 @@ PARTNERS = 4
 LEAST_REACH = 2.0
 """How many times as far as a camera is from the shell's centre the shell is to it at least: one that comes later may
 stand beyond the shell of those that were first, or just before it."""
+LEAST_RADIUS = 0.5
+"""Of the shell about cameras that do not tell what they look at, in units of its factor, m."""
+SEEN_WITHIN = 0.7
+"""Cosine of the angle from a camera's axis within which it looks at a point."""
 MOST_PIXELS = 40_000
 """Of an image as it is matched, larger ones are made smaller first: a pixel takes 8 bytes per depth and partner."""
 SMOOTHING_PX = 0.7
@@ -71,13 +75,31 @@ class Shell:
 
 
 def shell_around(cameras: Sequence[Camera], factor: float) -> Shell:
-    """The shell about the point nearest to all optical axes, `factor` times as far as the farthest camera."""
+    """The shell about the point nearest to all optical axes, `factor` times as far as the farthest camera.
+
+    Cameras that all look at a point need not be told in metres: their shell is as large as they stand apart. Others, as
+    those that look outwards from one place, tell nothing of how far they see: theirs is `LEAST_RADIUS` at least.
+    """
     centres = np.stack([camera.T_base_cam[:3, 3] for camera in cameras])
     axes = np.stack([camera.T_base_cam[:3, 2] for camera in cameras])
+    target = _looked_at(centres, axes, 1.0)
+    radius = float(np.linalg.norm(centres - target, axis=1).max())
+    if radius < LEAST_RADIUS:
+        nearer = _looked_at(centres, axes, radius)
+        ahead = np.einsum("ni,ni->n", nearer - centres, axes)
+        distances = np.linalg.norm(nearer - centres, axis=1)
+        is_seen = bool((ahead > SEEN_WITHIN * distances).all())
+        target, radius = (nearer, float(distances.max())) if is_seen else (target, LEAST_RADIUS)
+    return Shell(target, factor * radius)
+
+
+def _looked_at(centres: Float64, axes: Float64, usual: float) -> Float64:
+    """[3] nearest to rays from `centres` [n, 3] along `axes` [n, 3]; `usual` m ahead where all are parallel."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     A = across.sum(0) + 1e-3 * np.eye(3)
-    target = np.linalg.solve(A, np.einsum("nij,nj->i", across, centres) + 1e-3 * (centres + axes).mean(0))
-    return Shell(target, factor * max(float(np.linalg.norm(centres - target, axis=1).max()), 0.5))
+    ahead = (centres + usual * axes).mean(0)
+    point: Float64 = np.linalg.solve(A, np.einsum("nij,nj->i", across, centres) + 1e-3 * ahead)
+    return point
 
 
 def sweep(views: Sequence[View], plane: Plane, shell: Shell, levels: int) -> list[Surface]:
