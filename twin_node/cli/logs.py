@@ -7,8 +7,11 @@ import dataclasses
 import math
 import sys
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from twin_node.cli.arguments import add_log
 from twin_node.cli.output import add_json
@@ -35,6 +38,9 @@ def add_check(commands: Any) -> None:
     )
     add_log(check)
     add_json(check)
+    check.add_argument(
+        "--images", action="store_true", help="decode every image and count the damaged ones, not just look at some"
+    )
     check.add_argument(
         "--repair", type=Path, metavar="OUT", help="write what can be read to a new .mcap file or folder"
     )
@@ -84,7 +90,10 @@ def _check(options: argparse.Namespace) -> int:
     if options.repair is not None:
         _repair(options.log, options.repair)
     with open_log(options.repair or options.log) as log:
-        found = check_log(log)
+        count = sum(topic.count for topic in log.topics)
+        quiet = None if options.images else True
+        progress = partial(tqdm, total=count, unit="message", desc="check", disable=quiet)
+        found = check_log(log, options.images, progress)
     if options.json:
         print(json_text({"sound": found.is_sound, **dataclasses.asdict(found)}))
     else:

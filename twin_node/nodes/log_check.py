@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from twin_node.bag import LogMessage, LogReader
 from twin_node.bag.log_times import NO_STOP
 from twin_node.errors import TwinError, TwinWarning, several
-from twin_node.messages import convert, from_time
+from twin_node.messages import from_time
 from twin_node.messages.stamps import NS_PER_S
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
+from twin_node.nodes.image_check import DamagedPictures, depth_faults, image_faults
 from twin_node.nodes.joint_units import angle_fault, ranges_told
 from twin_node.nodes.log_cameras import cameras_of
-from twin_node.nodes.log_doubts import base_doubts, depth_unit_fault, joint_doubts, rig_doubts
+from twin_node.nodes.log_doubts import base_doubts, joint_doubts, rig_doubts
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.moved_frames import moved_frames
 from twin_node.nodes.renaming import Renamed, check_types, renamed
@@ -36,8 +37,9 @@ from twin_node.nodes.topics import (
     CameraTopics,
     GraphError,
     has_images,
+    is_depth,
 )
-from twin_node.scene import Float64, RigCamera
+from twin_node.scene import Float64
 
 DELAY_NS = 1_000_000_000
 """A header stamp further than this from the time of recording was made by another clock."""
@@ -109,15 +111,22 @@ class _Seen:
         return max(self.streams.values(), key=lambda stream: len(stream.stamps), default=_Stream())
 
 
-def check_log(log: LogReader) -> LogCheck:
-    """Reads the whole log once."""
+def check_log(
+    log: LogReader,
+    every_image: bool = False,
+    progress: Callable[[Iterable[LogMessage]], Iterable[LogMessage]] = iter,
+) -> LogCheck:
+    """Reads the whole log once, which `progress` may wrap; `every_image`: all are decoded, not `SAMPLES` of a topic."""
     seen: dict[str, _Seen] = {topic.name: _Seen() for topic in log.topics}
     every = {topic.name: max(1, topic.count // SAMPLES) for topic in log.topics}
     unreadable: dict[str, str] = {}
     ranges = ranges_told(log)
-    for message in log.messages():
+    damaged = DamagedPictures()
+    for message in progress(log.messages()):
         try:
             _look_at(message, seen[message.topic], every[message.topic])
+            if every_image and message.msgtype in IMAGE_TYPES:
+                damaged.look(message.topic, message.message)
         except TwinError as error:
             unreadable.setdefault(message.topic, str(error))
     checks = []
@@ -132,8 +141,9 @@ def check_log(log: LogReader) -> LogCheck:
             times = [] if found.uncarried else _time_faults(stream, is_regular, log.start_ns)
             in_all = [*times, *filter(None, [unit])]
             faults += [f"{whose}{fault}" for fault in in_all]
-        faults += _stamp_faults(found)
-        faults += _unit_faults(topic.name, topic.msgtype, found) + _calibration_faults(found, log.start_ns)
+        faults += [*_stamp_faults(found), *damaged.faults(topic.name)]
+        faults += _unit_faults(topic.name, topic.msgtype, found, damaged)
+        faults += _calibration_faults(found, log.start_ns)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
@@ -143,7 +153,7 @@ def check_log(log: LogReader) -> LogCheck:
     except GraphError as error:
         whole.append(str(error))
     else:
-        whole += [*_camera_faults(log, topics, seen), *moved_frames(log, topics.original(TF_STATIC))]
+        whole += [*_camera_faults(log, topics, seen, damaged), *moved_frames(log, topics.original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
 
 
@@ -215,32 +225,16 @@ def _calibration_faults(seen: _Seen, start: int) -> list[str]:
     ]
 
 
-def _unit_faults(topic: str, msgtype: str, seen: _Seen) -> list[str]:
+def _unit_faults(topic: str, msgtype: str, seen: _Seen, damaged: DamagedPictures) -> list[str]:
     """What speaks against the units of a topic's messages."""
     if msgtype == JOINT_STATE and seen.wild:
         return [f"{several(seen.wild, 'message')} with positions that are not finite"]
-    if msgtype in IMAGE_TYPES and "depth" in topic:
-        return _depth_faults(seen.contents)
+    if msgtype in IMAGE_TYPES and is_depth(topic):
+        return depth_faults(topic, seen.contents, damaged)
     return []
 
 
-def _depth_faults(contents: Sequence[Any]) -> list[str]:
-    medians = []
-    for content in contents:
-        try:
-            depth = convert.depth_from_message(content)
-        except TwinError as error:
-            return [str(error)]
-        known = depth[depth > 0]
-        if len(known):
-            medians.append(float(np.median(known)))
-    if not medians:
-        return ["no depth is known in any image that was looked at"] if contents else []
-    fault = depth_unit_fault(float(np.median(medians)))
-    return [] if fault is None else [fault]
-
-
-def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) -> list[str]:
+def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen], damaged: DamagedPictures) -> list[str]:
     if not has_images(names.spoken) and any(topic in RECORDED for topic in names.spoken):
         return []  # what a twin has said; the images that it was made from are in another log
     try:
@@ -249,6 +243,7 @@ def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) ->
         return [str(error)]
     cameras = [names.original_camera(camera) for camera in in_log.found]
     stamps = {camera.image: seen[camera.image].busiest.stamps for camera in cameras}
+    contents = {camera.image: seen[camera.image].contents for camera in cameras}
     faults = [*in_log.unused, *joint_doubts(names)]
     try:
         check_depth(log, cameras, names.original(TF_STATIC))
@@ -257,13 +252,14 @@ def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen]) ->
     try:
         found = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:
-        return [*_image_faults(cameras, seen, {}), *_skew_faults(_timed(cameras, seen), stamps), *faults, str(error)]
+        of_images = image_faults(cameras, contents, {}, damaged)
+        return [*of_images, *_skew_faults(_timed(cameras, seen), stamps), *faults, str(error)]
     known = {camera.name: camera for camera in found.rig.cameras}
     cameras = [camera for camera in cameras if camera.name in known]
     timed = _timed(cameras, seen)
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in timed}
     faults = [
-        *_image_faults(cameras, seen, known),
+        *image_faults(cameras, contents, known, damaged),
         *_rate_faults(timed, by_rig),
         *_skew_faults(timed, by_rig),
         *_depth_skews(timed, seen),
@@ -292,33 +288,6 @@ def _first_set_faults(log: LogReader) -> list[str]:
         return []
     names = ", ".join(camera.name for camera in session.rig.cameras)
     return [f"no set of images of {names}: their stamps lie too far apart, or too few were recorded"]
-
-
-def _image_faults(
-    cameras: Sequence[CameraTopics], seen: Mapping[str, _Seen], known: Mapping[str, RigCamera]
-) -> list[str]:
-    """Cameras of whose images one that was looked at cannot be shown, or is of another size than `known` ones."""
-    faults = []
-    for camera in cameras:
-        for content in seen[camera.image].contents:
-            fault = _image_fault(content, known.get(camera.name))
-            if fault is not None:
-                faults.append(f"camera '{camera.name}': {fault}")
-                break
-    return faults
-
-
-def _image_fault(content: Any, calibrated: RigCamera | None) -> str | None:
-    try:
-        height, width = convert.rgb_from_message(content).shape[:2]
-    except TwinError as error:
-        return str(error)
-    if calibrated is None or (width, height) == (calibrated.width, calibrated.height):
-        return None
-    return (
-        f"images are {width}x{height}, its CameraInfo is for {calibrated.width}x{calibrated.height}; calibrate the "
-        "camera in the mode that it records in, or give a rig file"
-    )
 
 
 def _depth_skews(cameras: Sequence[CameraTopics], seen: Mapping[str, _Seen]) -> Iterator[str]:

@@ -237,7 +237,7 @@ def find_cameras(types: Mapping[str, str], source: str, measured: Collection[str
             colour.setdefault(camera_of(topic), topic)
     depth: dict[str, str] = {}
     for topic in sorted(images, key=lambda t: (not is_aligned_depth(t), _form(t, types[t], _DEPTH_ORDER), t)):
-        if topic in measured or _is_depth(topic):
+        if topic in measured or is_depth(topic):
             depth.setdefault(_measured_by(topic, colour, topic in measured), topic)
     if not colour:
         held = ", ".join(sorted(types)) or "none"
@@ -272,7 +272,8 @@ def has_colour(types: Mapping[str, str]) -> bool:
     return any(kind in IMAGE_TYPES and is_colour(topic) for topic, kind in types.items())
 
 
-def _is_depth(topic: str) -> bool:
+def is_depth(topic: str) -> bool:
+    """Whether images of a topic are of depth, by its name."""
     return "depth" in topic
 
 
@@ -305,7 +306,7 @@ def without_transport(topic: str) -> str:
 
 def is_colour(topic: str) -> bool:
     """Whether a topic's images are colour images by its name."""
-    return not _is_depth(topic) and not topic.endswith("/compressedDepth")
+    return not is_depth(topic) and not topic.endswith("/compressedDepth")
 
 
 def camera_of(topic: str) -> str:
