@@ -98,3 +98,22 @@ def test_why_a_process_has_ended_is_heard_before_it_is_judged(tmp_path: Path, mo
     child.hear_out()
     assert child.error is not None
     assert "unknown parameter 'otput'; did you mean 'output'?" in child.error
+
+
+def test_what_was_cut_by_a_kill_is_no_event(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that listens ended with a trace in place of telling that the process had."""
+    heard: list[None] = []
+
+    class Killed(Loading):
+        def __init__(self, *_: object, pass_fds: tuple[int, ...], **__: object) -> None:
+            super().__init__()
+            self.is_killed = True
+            os.write(pass_fds[0], b'{"event": "loaded"}\n{"event": "said", "text": "5 of 1')
+
+    monkeypatch.setattr(child_module.subprocess, "Popen", Killed)
+    said: list[str] = []
+    order = Order(("twin",), {}, False, False, {}, {}, "test.yaml")
+    child = Child("twin", order, tmp_path / "twin.log", lambda: heard.append(None), said.append)
+    child._listener.join(WAIT_S)
+    assert child.is_loaded and said == []
+    assert len(heard) == 2, "of its nodes, and of its end"

@@ -31,6 +31,7 @@ class Process:
     ) -> None:
         self.name, self.pid, self.error, self.status = name, 0, None, None
         self.is_loaded = self.is_configured = self.is_active = self.has_pulsed = False
+        self.silence_s = 0.0
         self._on_news = on_news
         self.has_begun()
         on_news()
@@ -267,6 +268,42 @@ def test_a_process_that_never_gets_ready_is_started_again(
     launcher = begin(Slow, said.append, "arm: {nodes: [arm]}")
     assert launcher.run().restarts == restarts
     assert said == ["arm: failed: it hung, and was ended; starting it again"] * restarts + ["active: arm"]
+
+
+@pytest.mark.parametrize("loads", [True, False])
+def test_a_spare_that_never_loads_is_ended(
+    begin: Callable[..., Launcher], monkeypatch: pytest.MonkeyPatch, loads: bool
+) -> None:
+    """No other process had a spare while it hung, and one that failed had it for its successor."""
+    begun: list[Process] = []
+    now = [0.0]
+
+    class Loading(Process):
+        def has_begun(self) -> None:
+            begun.append(self)
+            self.is_loaded = loads or len(begun) == 1
+
+        @property
+        def status(self) -> int | None:
+            if self is begun[0]:
+                now[0] += STEP_S
+                self.has_pulsed = True
+                self._on_news()
+                if now[0] > 2 * LOADS_S:
+                    launcher.interrupt()
+            return self.ended
+
+        @status.setter
+        def status(self, value: int | None) -> None:
+            self.ended = value
+
+    monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    said: list[str] = []
+    launcher = begin(Loading, said.append, "arm: {nodes: [arm], spare: true}")
+    assert launcher.run().restarts == 0
+    hung = ["arm: no spare can be kept: it hung, and was ended"]
+    assert said == ["active: arm", *([] if loads else hung)]
+    assert len(begun) == 2 and begun[1].ended == (None if loads else -signal.SIGKILL)
 
 
 @pytest.mark.parametrize(("lives_s", "waits_s"), [(7.0, [0] * 5 + [1, 2, 4, 8, 16, 32, 60, 60]), (700.0, [0] * 13)])

@@ -42,6 +42,8 @@ class Child:
         """What it failed of, as far as it could say."""
         self.has_pulsed = False
         """Whether it has told that it does not hang since this was last made false."""
+        self.silence_s = 0.0
+        """For how long its launcher has heard nothing of it, s."""
         self._lock = threading.Lock()
         self._is_wanted = False
         """Whether it is to make its nodes as soon as it has loaded them: till then it holds nothing."""
@@ -128,6 +130,8 @@ class Child:
     def _listen(self, read_fd: int) -> None:
         with os.fdopen(read_fd) as events:
             for line in events:
+                if not line.endswith("\n"):
+                    break  # it was killed in the middle of it
                 event = json.loads(line)
                 if event["event"] == "loaded":
                     self._on_loaded()

@@ -82,8 +82,6 @@ class Launcher:
         self._looked = time.monotonic()
         self._kept = ""
         """Folder of what processes leave to those that take their places."""
-        self._silences: dict[str, float] = {}
-        """For how long nothing was heard of each process, s."""
 
     def _say(self, line: str) -> None:
         """Tells the user; where nobody reads it any more, or its disk is full, the graph goes on all the same."""
@@ -216,11 +214,15 @@ class Launcher:
         """
         now = time.monotonic()
         passed, self._looked = min(now - self._looked, 2 * STEP_S), now
-        for name, child in self._children.items() if not self._plan.is_lockstep else ():
-            self._silences[name] = 0.0 if child.has_pulsed else self._silences.get(name, 0.0) + passed
+        if self._plan.is_lockstep:
+            return
+        loading = [
+            spare for spare in self._spares.values() if not spare.is_loaded
+        ]  # of one that waits nothing is heard
+        for child in (*self._children.values(), *loading):
+            child.silence_s = 0.0 if child.has_pulsed else child.silence_s + passed
             child.has_pulsed = False
-            if self._silences[name] > (HANGS_S if child.is_active else LOADS_S) and child.status is None:
-                self._silences[name] = 0.0
+            if child.silence_s > (HANGS_S if child.is_active else LOADS_S) and child.status is None:
                 child.give_up()
 
     def _keep_router(self) -> None:
@@ -259,9 +261,9 @@ class Launcher:
                 return
             self._is_active = True
             self._say("active: " + ", ".join(self._children))
-        for name, child in reversed(self._children.items()):
+        for child in reversed(self._children.values()):
             if child.is_configured and not child.is_active:
-                self._silences[name] = 0.0  # it has come to life a moment ago
+                child.silence_s = 0.0  # it has come to life a moment ago
                 child.activate()
 
     def _keep_spares(self) -> None:
@@ -356,7 +358,7 @@ class Launcher:
         self._begin(process, spare)
 
     def _begin(self, process: ProcessPlan, child: Child) -> None:
-        self._children[process.name], self._silences[process.name] = child, 0.0
+        self._children[process.name], child.silence_s = child, 0.0
         self._begun[process.name] = time.monotonic()
         child.configure()
 
