@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from recorder_studio import Studio
 
 from twin_node.bag import BagError, RecordingWriter, open_log
 from twin_node.messages import convert, message_type
 from twin_node.messages.convert import Level
-from twin_node.nodes.live.recorder import LiveRecorderNode, RecordParameters, make_recorder
+from twin_node.nodes.live.recorder import make_recorder
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, GraphError, kind_of
-from twin_node.runtime.clock import Clock, FollowedClock, SystemClock
+from twin_node.runtime.clock import FollowedClock, SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.qos import Qos, TopicKind
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity
@@ -26,57 +26,6 @@ from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import Rig, RigCamera
 
 LOG_START = 1_700_000_000_000_000_000
-
-
-class Studio:
-    """A recorder, and a wire to speak on."""
-
-    def __init__(
-        self,
-        output: Path,
-        clock: Clock,
-        is_active: bool = True,
-        say: Callable[[str], None] | None = None,
-        remaps: Mapping[str, str] | None = None,
-        namespace: str = "/",
-        **more: Any,
-    ) -> None:
-        self.said: list[str] = []
-        self.graph: tuple[Endpoint, ...] = ()
-        self.is_finished = False
-        self._wire, self._executor = LocalWire(), Executor()
-        self._wire.namespace = namespace
-        bus = WireBus(self._wire, self._executor, "recorder", kind_of, remaps)
-        say = say or self.said.append
-        setup = Setup("recorder", bus, clock, self._executor, {}, "test", self._finish, lambda: self.graph, say)
-        topics = {"topics": (DIAGNOSTICS, TF_STATIC), **more}
-        self.node = LiveRecorderNode(setup, RecordParameters(str(output), **topics))
-        self.node.configure()
-        if is_active:
-            self.node.activate()
-
-    def _finish(self) -> None:
-        self.is_finished = True
-
-    def hear(self, topic: str, message: Any) -> None:
-        self._wire.publisher("somebody", topic, kind_of(topic) or TopicKind(message.__msgtype__))(message)
-        while self._executor.step(0.0):
-            pass
-
-    def hear_at_once(self, *messages: Any) -> None:
-        """Diagnostics that come while the recorder waits for its disk."""
-        for message in messages:
-            self._wire.publisher("somebody", DIAGNOSTICS, kind_of(DIAGNOSTICS))(message)
-
-    def step(self) -> None:
-        self._executor.step(60.0)
-
-    def hear_diagnostics(self) -> None:
-        self.hear(DIAGNOSTICS, convert.diagnostics_to_message(0, []))
-
-    def end(self) -> None:
-        self.node.deactivate()
-        self.node.cleanup()
 
 
 def refuse(*_: Any) -> None:
@@ -255,43 +204,6 @@ def test_what_is_said_before_the_graph_has_a_time_is_not_of_1970(tmp_path: Path)
     with open_log(tmp_path / "run.mcap") as log:
         assert [message.topic for message in log.messages()] == [TF_STATIC, DIAGNOSTICS]
         assert log.start_ns >= LOG_START
-
-
-@pytest.mark.parametrize("more", [{"topics": ("/odd",)}, {"all": True}])
-def test_a_topic_of_an_unknown_type_is_not_recorded_and_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
-) -> None:
-    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.0)
-    studio = Studio(tmp_path / "run.mcap", SystemClock(), **more)
-    who = NodeIdentity("1", 1, "somebody")
-    studio.graph = (Endpoint(EntityKind.PUBLISHER, who, 1, "/odd", "odd_msgs/msg/Odd", "RIHS01_0", Qos()),)
-    for _ in range(3):
-        studio.step()
-    assert studio.said == ["not recorded: /odd, whose type odd_msgs/msg/Odd is not known here"]
-    studio.end()
-
-
-@pytest.mark.parametrize("more", [{"topics": ("/note",)}, {"all": True}])
-def test_a_second_type_under_a_topic_s_name_is_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]
-) -> None:
-    """A log has one type per topic; on the graph two nodes may use one name for two things, whenever they come."""
-    monkeypatch.setattr("twin_node.nodes.live.recorder.DISCOVERY_S", 0.0)
-    studio = Studio(tmp_path / "run.mcap", SystemClock(), **more)
-    kinds = ("std_msgs/msg/String", "std_msgs/msg/Empty")
-    nodes = (NodeIdentity("1", 1, "first"), NodeIdentity("2", 1, "second"))
-    ends = [
-        Endpoint(EntityKind.PUBLISHER, node, 1, "/note", kind, "RIHS01_0", Qos())
-        for node, kind in zip(nodes, kinds, strict=True)
-    ]
-    for number in (1, 2, 2, 2):
-        studio.graph = tuple(ends[:number])
-        studio.step()
-    assert studio.said == [
-        "not recorded: /note of type std_msgs/msg/Empty, which second sends; a log has one type per topic, and "
-        "std_msgs/msg/String came first"
-    ]
-    studio.end()
 
 
 @pytest.mark.parametrize(

@@ -153,10 +153,12 @@ class LiveRecorderNode(Node):
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all.
 
-        Of another type than is recorded by then they are told.
+        Of another type than is recorded by then, or of another definition of it, they are told.
         """
         asked = {self._bus.resolved(topic): topic for topic in self._topics}
-        for endpoint in self._endpoints():
+        graph = self._endpoints()
+        heard = {one.topic: one.type_hash for one in graph if self._is_own(one)}
+        for endpoint in graph:
             topic = self._bus.named(endpoint.topic) if self._is_all else asked.get(endpoint.topic)
             if topic is None or endpoint.kind is not EntityKind.PUBLISHER:
                 continue
@@ -167,10 +169,19 @@ class LiveRecorderNode(Node):
                     f" of type {endpoint.msgtype}, which {endpoint.node.name} sends; a log has one type per topic, and "
                     f"{recorded} came first",
                 )
+            elif recorded is not None and heard.get(endpoint.topic, endpoint.type_hash) != endpoint.type_hash:
+                self._leave_out(
+                    endpoint,
+                    f" of {endpoint.node.name}, whose {endpoint.msgtype} has another definition than the one known "
+                    "here; 'twin_node doctor' tells more",
+                )
             elif recorded is None and endpoint.msgtype in builtin_types():
                 self.add(topic, TopicKind(endpoint.msgtype, endpoint.qos))
             elif recorded is None:
                 self._leave_out(endpoint, f", whose type {endpoint.msgtype} is not known here")
+
+    def _is_own(self, endpoint: Endpoint) -> bool:
+        return endpoint.kind is EntityKind.SUBSCRIBER and endpoint.node.name == self.name
 
     def _tell_of_silence(self) -> None:
         published = {one.topic for one in self._endpoints() if one.kind is EntityKind.PUBLISHER}
