@@ -18,6 +18,11 @@ MOST_IMAGES = 80
 LEAST_IMAGES = 3
 STILL_LEVELS, STILL_SHARE = 20, 0.6
 """A pixel stands still where so large a share of its values is within so many grey levels of the median."""
+RIM_LEVELS = 12
+"""Darkest and, with the noise of compression, brightest that a rim without a picture is: bands of a video, the outside
+of a fisheye's circle."""
+RIM_REACH = 1 / 60
+"""How far, as a share of an image's longer side, what is found beside a rim is found for its edge."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Still:
     rgb: UInt8
     """[H, W, 3] median over time, distorted as the camera sees it."""
     still: Bool
-    """[H, W] False where something else was seen too often for the median to be trusted."""
+    """[H, W] False where something else was seen too often for the median to be trusted, and at a black rim."""
     depth: Float32 | None = None
     """[H, W] median depth along the optical axis, m; 0 where unknown. None where the camera measures none."""
 
@@ -69,7 +74,23 @@ def _still(camera: RigCamera, views: list[View]) -> Still:
     near = np.zeros(median.shape[:2])
     for image in stack:
         near += cv2.inRange(cv2.absdiff(image, median), (0, 0, 0), (STILL_LEVELS - 1,) * 3) > 0
-    return Still(camera, median, near > STILL_SHARE * len(stack), _on_image(camera, _median_depth(views)))
+    still = (near > STILL_SHARE * len(stack)) & ~_at_rim(median)
+    return Still(camera, median, still, _on_image(camera, _median_depth(views)))
+
+
+def _at_rim(rgb: UInt8) -> Bool:
+    """[H, W] what is black beside the picture, from a whole side of the image or from all its corners on, and what is
+    near it: edges of rims are alike in all cameras. What is dark elsewhere, up to the border too, is the scene's."""
+    black = rgb.max(axis=2) <= RIM_LEVELS
+    _, labels = cv2.connectedComponents(black.astype(np.uint8), connectivity=4)
+    corners = [(0, 0), (0, -1), (-1, 0), (-1, -1)]
+    begins = [corner for corner in corners if all(black[each] for each in corners)]
+    for side, corner in ((black[0], (0, 0)), (black[-1], (-1, 0)), (black[:, 0], (0, 0)), (black[:, -1], (0, -1))):
+        begins += [corner] * bool(side.all())
+    rim = np.isin(labels, [labels[corner] for corner in begins])
+    reach = round(RIM_REACH * max(rim.shape))
+    near: Bool = cv2.dilate(rim.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+    return near
 
 
 def _median_depth(views: list[View]) -> Float32 | None:
