@@ -14,7 +14,7 @@ from recorder_studio import Studio
 from twin_node.bag import BagError, RecordingWriter, open_log
 from twin_node.messages import convert, message_type
 from twin_node.messages.convert import Level
-from twin_node.nodes.live.recorder import make_recorder
+from twin_node.nodes.live.recorder import EARLY_KEPT, make_recorder
 from twin_node.nodes.live.setup import Setup
 from twin_node.nodes.topics import DIAGNOSTICS, TF_STATIC, GraphError, kind_of
 from twin_node.runtime.clock import FollowedClock, SystemClock
@@ -204,6 +204,22 @@ def test_what_is_said_before_the_graph_has_a_time_is_not_of_1970(tmp_path: Path)
     with open_log(tmp_path / "run.mcap") as log:
         assert [message.topic for message in log.messages()] == [TF_STATIC, DIAGNOSTICS]
         assert log.start_ns >= LOG_START
+
+
+def test_transforms_outlast_what_is_said_again_and_again_before_the_graph_has_a_time(tmp_path: Path) -> None:
+    """Cameras say their calibration with every image: after a second of three of them no transforms were left."""
+    clock, info = FollowedClock(), "/front/camera_info"
+    studio = Studio(tmp_path / "run.mcap", clock, topics=(info, TF_STATIC, DIAGNOSTICS))
+    camera = RigCamera("front", 16, 12, np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]]), np.eye(4))
+    studio.hear(TF_STATIC, convert.tf_static(Rig((camera,)), 0))
+    for _ in range(EARLY_KEPT + 20):
+        studio.hear(info, convert.camera_info(camera, 0))
+    clock.set(LOG_START)
+    studio.hear_diagnostics()
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        kept = [message.topic for message in log.messages()]
+    assert [kept.count(topic) for topic in (TF_STATIC, info, DIAGNOSTICS)] == [1, EARLY_KEPT, 1]
 
 
 @pytest.mark.parametrize(

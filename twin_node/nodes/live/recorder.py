@@ -27,7 +27,7 @@ FLUSH_TIMER_S = 0.25
 SILENCE_S = 3.0
 """By then a graph that runs is known: what nobody publishes is told."""
 EARLY_KEPT = 100
-"""Latched messages that are kept until time begins, the newest: some for each camera of any rig."""
+"""Latched messages of a topic that are kept until time begins, the newest: transforms come from many nodes."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class LiveRecorderNode(Node):
         self._endpoints = setup.endpoints
         self._say = setup.say
         self._finish = setup.finish
-        self._early: deque[tuple[str, Encoded]] = deque(maxlen=EARLY_KEPT)
+        self._early: dict[str, deque[Encoded]] = {}
         self._added: dict[str, str | None] = {}
         self._told: set[tuple[str, str]] = set()
         self._parameters = parameters
@@ -226,10 +226,12 @@ class LiveRecorderNode(Node):
         """`now`: when it came, ns; a disk that was slow to take what came before does not make it later."""
         if now <= 0:
             if latched:
-                self._early.append((topic, message))
+                self._early.setdefault(topic, deque(maxlen=EARLY_KEPT)).append(message)
             return
-        while self._early:
-            self._put(*self._early.popleft(), now, latched=True)
+        early, self._early = self._early, {}
+        for name, messages in early.items():
+            for one in messages:
+                self._put(name, one, now, latched=True)
         self._put(topic, message, now, latched)
 
     def _put(self, topic: str, message: Encoded, stamp: int, latched: bool) -> None:
