@@ -138,6 +138,17 @@ def test_two_arms_under_the_same_names_are_neither(gap_ms: int) -> None:
     np.testing.assert_allclose(pose_at(found, 520), READY)
 
 
+@pytest.mark.parametrize("behind_ms", [4, 100])
+def test_two_arms_are_neither_where_the_clock_of_one_is_behind(behind_ms: int) -> None:
+    """All that it said came after newer joints: it was left out, and the other arm believed to be the only one."""
+    found = predictor(planned(velocity=0 * TURNING))
+    for when_ms in range(0, 400, 8):
+        found.take_joints(joints(READY, 0 * TURNING, when_ms))
+        found.take_joints(joints(READY + 2 * TURNING, 0 * TURNING, when_ms - behind_ms))
+    with pytest.raises(ArmError, match=r"the arm's joints jump by 2\.00 rad: two arms' have the same names"):
+        pose_at(found, 400)
+
+
 @pytest.mark.parametrize(
     ("gap_ms", "turned", "jumps"), [(0, 0.09, False), (0, 0.11, True), (10, 0.24, False), (10, 0.26, True)]
 )

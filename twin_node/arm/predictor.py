@@ -129,12 +129,12 @@ class ArmPredictor:
         positions = self._model.order(sample.names, sample.positions)
         velocities = self._model.order(sample.names, sample.velocities)
         passed_ns = 0 if before is None else sample.stamp - before.stamp
+        if before is not None and abs(passed_ns) <= self._lasting_ns:
+            jump_rad = float(np.abs(_turned(before.positions, positions)).max())
+            if jump_rad > _JUMP_RAD + _FASTEST_RAD_S * abs(passed_ns) * 1e-9:
+                self._jump_rad, self._jumped = jump_rad, max(sample.stamp, before.stamp)
         if -self._lasting_ns < passed_ns < 0:
             return
-        if before is not None and 0 <= passed_ns <= self._lasting_ns:
-            jump_rad = float(np.abs(_turned(before.positions, positions)).max())
-            if jump_rad > _JUMP_RAD + _FASTEST_RAD_S * passed_ns * 1e-9:
-                self._jump_rad, self._jumped = jump_rad, sample.stamp
         self._measures_velocities |= has_velocities and bool(velocities.any())
         if before is not None and not (has_velocities and self._measures_velocities):
             velocities = before.velocities
