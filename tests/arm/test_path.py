@@ -209,6 +209,13 @@ def test_inverse_kinematics_reaches(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(tool[:3, 2], [0, 0, -1], atol=5e-3)
 
 
+def test_an_arm_with_a_joint_that_hardly_turns_has_a_cycle_too() -> None:
+    """A range as narrow as the solver's margin at its ends left no room for a start, which ended in a trace."""
+    model = ur_model("ur5e")
+    locked = replace(model, lower=np.append(model.lower[:5], -1e-7), upper=np.append(model.upper[:5], 1e-7))
+    assert np.abs(default_path(locked).template.positions[:, 5]).max() <= 1e-7
+
+
 def test_what_cannot_be_reached_or_followed_is_refused() -> None:
     model = ur_model("ur3e")
     with pytest.raises(ArmError, match="ur3e cannot put its tool there pointing down"):

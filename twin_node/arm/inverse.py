@@ -53,7 +53,7 @@ def _descend(model: ArmModel, point: Float64, seed: Float64) -> Float64:
         turned = np.cross(twist[3:].T, axis).T
         return np.concatenate([twist[:3], _AXIS_WEIGHT * turned, _POSTURE_WEIGHT * np.eye(model.joints)])
 
-    margin = 1e-6  # the solver wants a start strictly inside the limits
+    margin = np.minimum(1e-6, (model.upper - model.lower) / 2)  # the solver wants a start strictly inside the limits
     inside = np.clip(seed, model.lower + margin, model.upper - margin)
     found: Float64 = least_squares(residual, inside, jacobian, bounds=(model.lower, model.upper)).x
     return found
