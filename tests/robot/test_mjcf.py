@@ -341,6 +341,31 @@ def test_a_long_link_without_a_shape_is_refused(tmp_path: Path) -> None:
         arm_model(path)
 
 
+@pytest.mark.parametrize(
+    ("links", "joints", "called", "moved"),
+    [
+        (("link_2", ""), ("a", "b"), ("base_link", "link_2", "link_2_"), ("a", "b")),
+        (("base_link", "link_0"), ("a", "b"), ("link_0_", "base_link", "link_0"), ("a", "b")),
+        (("", ""), ("joint_2", ""), ("base_link", "link_1", "link_2"), ("joint_2", "joint_2_")),
+    ],
+)
+def test_what_has_no_name_is_called_as_nothing_else_is(
+    tmp_path: Path,
+    links: tuple[str, str],
+    joints: tuple[str, str],
+    called: tuple[str, ...],
+    moved: tuple[str, ...],
+) -> None:
+    """Two links of one name ended in a trace when the arm's collision scene was made, and so did two joints."""
+    said = [f' name="{name}"' if name else "" for name in (*links, *joints)]
+    bodies = [f'<body{link}><joint{joint}/><geom size="0.1"/>' for link, joint in zip(said[:2], said[2:], strict=True)]
+    file = tmp_path / "arm.xml"
+    file.write_text(f"<mujoco><worldbody>{''.join(bodies)}</body></body></worldbody></mujoco>")
+    model = load_arm(file)
+    assert (model.link_names, model.joint_names) == (called, moved)
+    assert mujoco.MjModel.from_xml_string(write_mjcf(model)).njnt == 2
+
+
 @pytest.mark.parametrize("scaled", ["size=", "fromto=", "pos="])
 def test_an_arm_in_millimetres_is_refused(tmp_path: Path, scaled: str) -> None:
     """It hid all that cameras saw, or was nowhere near it: no obstacle was left, and it might go."""

@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
-from xml.dom import expatbuilder
-from xml.parsers.expat import ExpatError
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -25,10 +22,9 @@ from twin_node.geometry import inverse_pose, pose, quat_from_rotation, transform
 from twin_node.robot.arm_file import compiled
 from twin_node.robot.capsule_fit import Capsule, fit_capsule, fit_capsules
 from twin_node.robot.model import ArmModel, Capsules, RobotError
+from twin_node.robot.urdf_ranges import MAX_VELOCITY, ratings
 from twin_node.scene import Float64
 
-_MAX_VELOCITY = 15.0
-"""rad/s, for joints of which the file gives no rating: the fastest wrists of industrial arms reach it."""
 _MAX_ACCELERATION = 5.0
 """rad/s^2, for files that give none: as for the UR arms."""
 TOOL = "tool0"
@@ -115,7 +111,7 @@ def load_arm(path: str | Path, joint_names: Sequence[str] | None = None) -> ArmM
     return ArmModel(
         name=Path(path).stem,
         link_names=link_names,
-        joint_names=tuple(engine.joint(joint).name or f"joint_{k}" for k, joint in enumerate(joints, 1)),
+        joint_names=_all_named("joint", 1, [engine.joint(joint).name for joint in joints]),
         origins=origins,
         lower=lower,
         upper=upper,
@@ -179,33 +175,26 @@ def _arm_joints(engine: Any, path: str | Path, names: Sequence[str] | None) -> l
 def _link_names(engine: Any, bodies: NDArray[np.integer]) -> tuple[str, ...]:
     """Names [J + 1] of what the arm stands on and of its links; the file's world is called `BASE` where no link is."""
     base = int(engine.body_parentid[bodies[0]])
-    links = [engine.body(int(body)).name or f"link_{k}" for k, body in enumerate(bodies, 1)]
+    links = [engine.body(int(body)).name for body in bodies]
     stand = engine.body(base).name if base else BASE
-    return (stand if stand and stand not in links else "link_0", *links)
+    return _all_named("link", 0, ["" if stand in links else stand, *links])
+
+
+def _all_named(kind: str, first: int, names: Sequence[str]) -> tuple[str, ...]:
+    """The names; what has none is called by its kind and number, from `first` on, and by no name that another has."""
+    found = []
+    for number, name in enumerate(names, first):
+        made_up = f"{kind}_{number}"
+        while made_up in names:
+            made_up += "_"
+        found.append(name or made_up)
+    return tuple(found)
 
 
 def _ratings(path: str | Path, names: Sequence[str]) -> Float64:
-    """Velocities [J] (rad/s) that a URDF rates its joints at; what many files give in place of one is none."""
-    told: dict[str, str] = {}
-    with suppress(ExpatError):  # MuJoCo reads more than is XML: who writes such a file gives no ratings
-        text = Path(path).read_text("utf-8", "replace")  # as MuJoCo reads it, whatever encoding it names
-        robot: Any = expatbuilder.parseString(text, namespaces=False).documentElement  # prefixes are often undeclared
-        for joint in _children(robot, "joint"):
-            limits = [limit.getAttribute("velocity") for limit in _children(joint, "limit")]
-            told[joint.getAttribute("name")] = limits[0] if limits else ""
-    return np.array([_rating(told.get(name, "")) for name in names])
-
-
-def _children(element: Any, tag: str) -> list[Any]:
-    return [child for child in element.childNodes if child.nodeName == tag]
-
-
-def _rating(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        return _MAX_VELOCITY
-    return value if 0 < value <= _MAX_VELOCITY else _MAX_VELOCITY
+    """Velocities [J] (rad/s) that a URDF rates its joints at, and that others are taken to have."""
+    told = ratings(Path(path).read_text("utf-8", "replace"))  # as MuJoCo reads it, whatever encoding it names
+    return np.array([told.get(name, MAX_VELOCITY) for name in names])
 
 
 def _refuse_bare_links(path: str | Path, names: Sequence[str], origins: Float64, capsules: Capsules) -> None:
