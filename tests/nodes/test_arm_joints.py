@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arm_cell import MODEL, READY, TURNING, Cell
+from arm_cell import MODEL, READY, TURNING, Cell, Timers
 
 from twin_node.errors import TwinError
 from twin_node.messages import convert
@@ -76,6 +76,17 @@ def test_joints_of_another_arm_alone_are_refused_by_name() -> None:
     assert told.level is convert.Level.ERROR and "expected shoulder_pan_joint" in told.message
     cell.joints()
     assert cell.node.diagnoses()[0].message == "known"
+
+
+def test_a_live_arm_of_which_only_another_ones_joints_come_stands_for_that_and_no_forecast_is_refused() -> None:
+    """Each of the obstacles was refused for it: there was said to be no forecast, and none that could be read."""
+    cell = Cell(Timers())
+    cell.gripper()
+    told = cell.somebody()
+    assert told.speed_fraction == 0 and told.reason.startswith("stopped: joint values: expected shoulder_pan_joint")
+    known, _, forecasts = cell.node.diagnoses()
+    assert known.level is convert.Level.ERROR and "found finger_joint" in known.message
+    assert (forecasts.level, forecasts.message) == (convert.Level.OK, "in time")
 
 
 def test_an_arm_whose_joints_are_two_arms_stands_and_says_so() -> None:

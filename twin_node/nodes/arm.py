@@ -26,6 +26,7 @@ from twin_node.messages import Message, convert
 from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, OBSTACLES, SEPARATION, TRAJECTORY
 from twin_node.nodes.ur_driver import driven_model, is_other_arm
+from twin_node.robot import RobotError
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import SHORTEST_WAIT_S, NoTimers, Timers
@@ -258,7 +259,9 @@ class ArmNode(Node):
             return standing(stamp, obstacles.stamp, f"stopped: {other}")
         try:
             path = self._arm.ahead(stamp, heard)  # a log may be recorded before its stamps
-        except ArmError as error:
+        except (ArmError, RobotError) as error:
+            if isinstance(error, RobotError) and not self._is_live:
+                raise  # who replays the log of another arm can name that one
             return standing(stamp, obstacles.stamp, f"stopped: {error}")
         if self._workspace is not None and not self._arm.is_made_up:
             out_m = beyond(self._checker.model, path.positions[0], self._workspace)
