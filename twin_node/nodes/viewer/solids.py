@@ -199,8 +199,8 @@ class Voxels:
             return
         centers = grid.centers(indices).astype(np.float32)
         if name in self._handles:
-            self._handles[name].points = centers
-            self._handles[name].visible = True
+            handle = self._handles[name]
+            handle.points, handle.point_size, handle.visible = centers, grid.voxel_size / 2, True
         else:
             self._handles[name] = self._server.scene.add_point_cloud(
                 f"/occupancy/{name}",
