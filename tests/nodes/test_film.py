@@ -9,22 +9,30 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from twin_logs import START, cloud_at, obstacles_at
+from twin_logs import START, cloud_at
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
-from twin_node.geometry import project
 from twin_node.messages import convert
 from twin_node.nodes.film import FilmError, write_film, write_picture
 from twin_node.nodes.film.film import Film
-from twin_node.nodes.film.orbit import draw_boxes, orbit_camera
+from twin_node.nodes.overlays import tinted
 from twin_node.nodes.playback import Playback
+from twin_node.nodes.report.pictures import FORESEEN, TRUE
 from twin_node.nodes.report.quality import render_cloud
 from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import arm_model
-from twin_node.scene import HORIZONS_NS, Grid, Occupancy, OccupancyLayer, Rig, RigCamera, Separation, Tier
+from twin_node.scene import (
+    HORIZONS_NS,
+    Grid,
+    Occupancy,
+    OccupancyLayer,
+    Rig,
+    RigCamera,
+    Separation,
+)
 
 av = pytest.importorskip("av")
 
@@ -88,44 +96,21 @@ def test_a_picture_says_where_an_image_is_damaged(
     assert 0.01 < (damaged[0] > 40).mean() < 0.3, "words on a dark picture"
 
 
-def test_the_orbit_looks_at_the_cell_and_boxes_fall_on_what_they_hold(twin_log: Path) -> None:
-    with Playback([twin_log]) as playback:
-        snapshot = playback.at(START)
-    obstacles = obstacles_at(0, START)
-    for seconds in (0.0, 3.0, 7.0):
-        camera = orbit_camera(snapshot, 160, 90, seconds)
-        assert np.allclose(camera.T_base_cam[:3, :3] @ camera.T_base_cam[:3, :3].T, np.eye(3))
-        assert camera.T_base_cam[2, 1] < 0  # the image's down is down
-        drawn = draw_boxes(np.zeros((90, 160, 3), np.uint8), camera, obstacles, obstacles.ids == 7, (255, 0, 0))
-        rows, columns = np.nonzero(drawn[..., 0])
-        middle = np.append(obstacles.positions[0], 1) @ camera.viewmat.T
-        pixel = (camera.K @ middle[:3])[:2] / middle[2]
-        assert columns.min() < pixel[0] < columns.max() and rows.min() < pixel[1] < rows.max()
-
-
-@pytest.mark.parametrize("sigma", [0.2, 1e-4])
-def test_an_orbit_sees_gaussians_that_all_lie_at_one_place(tmp_path: Path, sigma: float) -> None:
-    cloud = cloud_at(0, True)
-    point = replace(cloud, means=np.zeros_like(cloud.means), scales=np.full_like(cloud.scales, sigma))
-    with LogWriter(tmp_path / "a.mcap") as log:
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(point, START), START)
-    with Playback([tmp_path / "a.mcap"]) as playback:
-        camera = orbit_camera(playback.at(START), 64, 36, 0.0)
-    shown = render_cloud(point, camera)
-    assert shown[18, 32].max() > 0.3 and shown[0, 0].max() < 0.1
-
-
-def test_an_orbit_looks_at_a_model_in_which_nothing_stands(tmp_path: Path) -> None:
-    """A trained model's Gaussians may all move: those of a scene far from our cell were not in the picture."""
-    cloud = cloud_at(0, True)
-    far = replace(cloud, means=cloud.means + np.float32(30), tiers=np.full_like(cloud.tiers, Tier.DEFORMABLE))
-    with LogWriter(tmp_path / "a.mcap") as log:
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(far, START), START)
-    with Playback([tmp_path / "a.mcap"]) as playback:
-        camera = orbit_camera(playback.at(START), 64, 36, 0.0)
-    inside = project(camera.K, camera.viewmat, far.means.astype(np.float64))[..., :2]
-    assert ((inside > 0) & (inside < (64, 36))).all(axis=1).mean() > 0.9
-    assert render_cloud(far, camera).max() > 0.1
+def test_a_forecast_fills_where_things_will_be_and_outlines_where_they_are(tmp_path: Path) -> None:
+    """What moves goes to the right, by 20 cm from layer to layer."""
+    grid, certain = Grid(np.array([-0.5, -0.05, 1.0]), 0.1, (10, 1, 1)), np.full(1, 255, np.uint8)
+    layers = tuple(OccupancyLayer(h, np.array([2 * k], np.uint32), certain) for k, h in enumerate(HORIZONS_NS))
+    log, twin = write_images(tmp_path / "a.mcap", {"left": (160, 120)}), tmp_path / "twin.mcap"
+    with LogWriter(twin) as written:
+        said = replace(EMPTY, grid=grid, layers=layers)
+        written.write(OCCUPANCY, convert.occupancy_to_message(said), START)
+    with Playback([log, twin], 160) as played:
+        picture = Film(played, "forecast", 160, arm_model("ur5e")).forecast(played.at(START))[16:]
+    grey = np.full((1, 1, 3), 128, np.uint8)
+    for colour, at in ((tinted(grey, np.ones((1, 1), np.bool_), FORESEEN)[0, 0], 0.35), (np.array(TRUE), -0.45)):
+        columns = np.flatnonzero((picture == colour).all(axis=2).any(axis=0))
+        assert 3 < np.ptp(columns) < 12
+        assert columns.mean() == pytest.approx(80 + 50 * at / 1.0, abs=3)
 
 
 @pytest.mark.parametrize(
