@@ -14,7 +14,7 @@ from functools import partial
 import pytest
 from launching import PATIENCE_S, Ear
 
-from twin_node.arm.ur import DriverReport, DriverState, UrParameters
+from twin_node.arm.ur import DriverReport, DriverState, Halt, UrParameters
 from twin_node.bench.graph_run import free_endpoint
 from twin_node.cell.ur_sim import StandInParameters, StandInProcess, free_loopback
 from twin_node.cli import main
@@ -129,6 +129,7 @@ class Halted:
 
     def __init__(self, why: str | None = None) -> None:
         self.latest = DriverReport(0, DriverState.HALTED, "no forecast")
+        self.halt: Halt | None = None
         self.acknowledged = 0
         self._why = why
         self._on_report: Callable[[DriverReport], None] = lambda report: None
@@ -214,6 +215,57 @@ def test_who_waits_for_a_driver_that_is_deactivated_is_told(monkeypatch: pytest.
         (False, "the driver is not active"),
         (False, "was halted: no forecast; the driver has been deactivated since"),
     ]
+
+
+@pytest.mark.parametrize("state", [DriverState.LOST, DriverState.CONNECTING])
+def test_a_halt_of_an_arm_that_is_not_reached_waits_for_who_acknowledges_too_early(
+    monkeypatch: pytest.MonkeyPatch, state: DriverState
+) -> None:
+    """It was said that none waits, and that the arm is not halted; it was, as soon as it was reached again."""
+    told: list[tuple[bool, str]] = []
+    driver = Halted()
+    driver.latest = DriverReport(0, state, "connection lost")
+    monkeypatch.setattr("twin_node.nodes.ur_driver.SupervisedDriver", driver)
+    node = UrDriverNode(LocalBus(), SystemClock(), UrParameters(robot="127.0.0.1"))
+    node.configure()
+    node.activate()
+    for driver.halt in (Halt("no forecast"), None):
+        node.acknowledge(lambda *answer: told.append(answer))
+    words = f"{state.value}: connection lost"
+    assert told == [
+        (False, f"{words}; it is halted when it is reached again (no forecast): acknowledge then"),
+        (True, f"no halt waits for somebody; {words}"),
+    ]
+    assert driver.acknowledged == 0
+
+
+@pytest.mark.parametrize(
+    ("state", "told"),
+    [
+        (DriverState.READY, (True, "acknowledged what had halted: no forecast; now ready: it begins")),
+        (
+            DriverState.LOST,
+            (False, "was halted: no forecast; now lost: it begins; acknowledge when it is reached again"),
+        ),
+    ],
+)
+def test_who_acknowledges_hears_what_comes_of_it_once_the_control_script_has_begun_or_not(
+    monkeypatch: pytest.MonkeyPatch, state: DriverState, told: tuple[bool, str]
+) -> None:
+    """A servoed arm's script has to begin: that it is about to was taken for the end of the halt."""
+    heard: list[tuple[bool, str]] = []
+    driver = Halted("trajectory: refused")
+    monkeypatch.setattr("twin_node.nodes.ur_driver.SupervisedDriver", driver)
+    node = UrDriverNode(LocalBus(), SystemClock(), UrParameters(robot="127.0.0.1"))
+    node.configure()
+    node.activate()
+    node.acknowledge(lambda *answer: heard.append(answer))
+    driver.latest = DriverReport(0, DriverState.CONNECTING, "it begins")
+    node.tick()
+    assert heard == []
+    driver.latest = DriverReport(0, state, "it begins")
+    node.tick()
+    assert heard == [told]
 
 
 def test_who_acknowledges_where_no_arm_is_driven_is_told(graph: ZenohParameters, refused: Callable[..., str]) -> None:

@@ -153,11 +153,13 @@ class UrDriverNode(Node):
         report = self.report
         if self._driver is None or report is None:
             tell(False, "the driver is not active")
-        elif report.state is not DriverState.HALTED:
-            tell(True, f"no halt waits for somebody; {_in_words(report)}")
-        else:
+        elif report.state is DriverState.HALTED:
             self._driver.acknowledge()
             self._asked.append(_Asked(tell, _in_words(report), time.monotonic_ns() + _PATIENCE_NS))
+        elif report.state is DriverState.READY or (halt := self._driver.halt) is None or not self._waits(halt):
+            tell(True, f"no halt waits for somebody; {_in_words(report)}")
+        else:
+            tell(False, f"{_in_words(report)}; it is halted when it is reached again ({halt.reason}): acknowledge then")
 
     def tick(self) -> None:
         """Publish what the driver has said since the last call; to be called every `TICK_S`, in the bus's thread."""
@@ -207,8 +209,10 @@ class UrDriverNode(Node):
         """
         waiting, self._asked = self._asked, []
         for asked in waiting:
-            if report.state is not DriverState.HALTED:
+            if report.state is DriverState.READY:
                 asked.tell(True, f"acknowledged what had {asked.before}; now {_in_words(report)}")
+            elif report.state is DriverState.LOST:
+                asked.tell(False, f"was {asked.before}; now {_in_words(report)}; acknowledge when it is reached again")
             elif (refusal is not None and not refusal.startswith(_OF_PATHS)) or passed >= asked.until:
                 asked.tell(False, f"still {_in_words(report)}; {refusal or 'what halts it is not over'}")
             else:

@@ -72,6 +72,11 @@ class SupervisedDriver:
         process = self._process
         return None if process is None else process.pid
 
+    @property
+    def halt(self) -> Halt | None:
+        """What keeps the arm standing, or will when it is reached again; None: nothing does."""
+        return self._halt
+
     def decide(self, separation: Separation) -> None:
         """Pass on a decision, whose evidence stamp is CLOCK_MONOTONIC, ns; without a connection it is forgotten."""
         self._give(Decide(separation))
