@@ -194,10 +194,12 @@ def test_why_a_halt_is_not_over_is_told_to_who_acknowledges_it(
     assert capsys.readouterr().err == "still halted: no forecast; acknowledge: expected an arm that stands\n"
 
 
+@pytest.mark.parametrize("refused", ["trajectory: refused while halted", "JointTrajectory point 1: 5 positions"])
 def test_a_halt_that_goes_on_whatever_is_said_is_told_after_a_while(
-    graph: ZenohParameters, monkeypatch: pytest.MonkeyPatch
+    graph: ZenohParameters, monkeypatch: pytest.MonkeyPatch, refused: str
 ) -> None:
-    driver = Halted("trajectory: refused while halted")
+    """What was refused of a path, by the driver or as no path at all, is no answer."""
+    driver = Halted(refused)
     with driven(graph, driver, monkeypatch), Asking(graph) as asking:
         assert asking.acknowledge() == (False, "still halted: no forecast; what halts it is not over")
 

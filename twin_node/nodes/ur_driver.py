@@ -38,8 +38,8 @@ _PATIENCE_NS = 3_000_000_000
 _REFUSALS_KEPT = 16
 """Orders refused that wait to be told, one with each `tick`: of more, the newest."""
 
-_OF_PATHS = "trajectory:"
-"""What refusals of a path begin with."""
+_OF_PATHS = ("trajectory:", "JointTrajectory")
+"""What refusals of a path begin with while an arm is halted: the driver's, and of what is none."""
 _LEVELS = {
     DriverState.CONNECTING: convert.Level.WARN,
     DriverState.READY: convert.Level.OK,
