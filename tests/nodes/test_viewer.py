@@ -19,7 +19,7 @@ from twin_node.bench.visitors import free_port
 from twin_node.messages import convert
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.snapshot import Snapshot
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES, OCCUPANCY
 from twin_node.nodes.viewer import CellPage, LogViewer
 from twin_node.nodes.viewer.live import Heard
 from twin_node.nodes.viewer.picked import PickedThing
@@ -28,7 +28,7 @@ from twin_node.nodes.viewer.solids import capsule_mesh
 from twin_node.nodes.viewer.splats import covariances_of
 from twin_node.robot import ur_model
 from twin_node.runtime.wire import encoded
-from twin_node.scene import ObstacleKind, Tier
+from twin_node.scene import Grid, ObstacleKind, Occupancy, OccupancyLayer, Tier
 
 pytest.importorskip("viser")
 
@@ -161,6 +161,21 @@ def test_capsule_meshes_enclose_their_ends() -> None:
     along = ends[1] - ends[0]
     share = np.clip((vertices - ends[0]) @ along / (along @ along), 0, 1)
     assert np.allclose(np.linalg.norm(vertices - ends[0] - share[:, None] * along, axis=1), 0.05, atol=1e-6)
+
+
+def test_voxels_of_another_size_are_drawn_as_large_as_they_are(page: CellPage) -> None:
+    """A twin that was started anew has others: they were drawn in their places, as large as those before."""
+    page.voxels.is_static_shown = True
+    standing, sizes = OccupancyLayer(0, np.array([20], np.uint32), np.full(1, 255, np.uint8)), []
+    for voxel_size in (0.1, 0.02):
+        grid = Grid(np.zeros(3), voxel_size, (4, 4, 4))
+        said = Occupancy(START, START, grid, (), standing, np.empty((0, 2), np.uint32))
+        heard = Heard(START, encoded(convert.occupancy_to_message(said)))
+        page.voxels.show(Snapshot(START, {OCCUPANCY: heard}, {}, None))
+        handle = page.server.scene.get_handle_by_name("/occupancy/static")
+        assert handle is not None
+        sizes.append(handle.point_size)
+    assert sizes == [0.05, 0.01]
 
 
 def test_playing_runs_to_the_end_and_seeking_shows_that_time(twin_log: Path, page: CellPage) -> None:

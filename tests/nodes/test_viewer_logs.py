@@ -136,20 +136,6 @@ def test_layers_of_the_forecast_are_points_where_the_voxels_are(page: CellPage, 
     assert find("/occupancy/static") is None
 
 
-def test_voxels_of_another_size_are_drawn_as_large_as_they_are(page: CellPage, tmp_path: Path) -> None:
-    """A twin that was started anew has others: they were drawn in their places, as large as those before."""
-    page.voxels.is_static_shown = True
-    none = tuple(OccupancyLayer(50_000_000 * k, np.zeros(0, np.uint32), np.zeros(0, np.uint8)) for k in range(5))
-    standing = OccupancyLayer(0, np.array([20], np.uint32), np.full(1, 255, np.uint8))
-    with LogWriter(tmp_path / "a.mcap") as log:
-        for k, voxel_size in enumerate((0.1, 0.02)):
-            grid = Grid(np.zeros(3), voxel_size, (4, 4, 4))
-            said = Occupancy(START + k * PERIOD, START + k * PERIOD, grid, none, standing, NO_RUNS)
-            log.write(OCCUPANCY, convert.occupancy_to_message(said), said.stamp)
-    sizes = [shown(page, tmp_path / "a.mcap", seconds=at)("/occupancy/static").point_size for at in (0, PERIOD * 1e-9)]
-    assert sizes == [0.05, 0.01]
-
-
 @pytest.mark.parametrize(("seconds", "is_seen"), [(0.2, True), (0.3, False)])
 def test_moving_space_goes_with_its_forecast(
     page: CellPage, cell_log: Callable[..., Path], tmp_path: Path, seconds: float, is_seen: bool

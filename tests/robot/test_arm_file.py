@@ -169,3 +169,28 @@ def test_a_joint_without_a_name_that_is_not_the_arms_is_told_of(tmp_path: Path, 
     )
     with pytest.raises(RobotError, match=f"found that one without a name {said}"):
         load_arm(tmp_path / "arm.xml")
+
+
+@pytest.mark.parametrize(
+    ("links", "joints", "called", "moved"),
+    [
+        (("link_2", ""), ("a", "b"), ("base_link", "link_2", "link_2_"), ("a", "b")),
+        (("base_link", "link_0"), ("a", "b"), ("link_0_", "base_link", "link_0"), ("a", "b")),
+        (("", ""), ("joint_2", ""), ("base_link", "link_1", "link_2"), ("joint_2", "joint_2_")),
+    ],
+)
+def test_what_has_no_name_is_called_as_nothing_else_is(
+    tmp_path: Path,
+    links: tuple[str, str],
+    joints: tuple[str, str],
+    called: tuple[str, ...],
+    moved: tuple[str, ...],
+) -> None:
+    """Two links of one name ended in a trace when the arm's collision scene was made, and so did two joints."""
+    said = [f' name="{name}"' if name else "" for name in (*links, *joints)]
+    bodies = [f'<body{link}><joint{joint}/><geom size="0.1"/>' for link, joint in zip(said[:2], said[2:], strict=True)]
+    file = tmp_path / "arm.xml"
+    file.write_text(f"<mujoco><worldbody>{''.join(bodies)}</body></body></worldbody></mujoco>")
+    model = load_arm(file)
+    assert (model.link_names, model.joint_names) == (called, moved)
+    assert mujoco.MjModel.from_xml_string(write_mjcf(model)).njnt == 2

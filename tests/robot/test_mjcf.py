@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 from pathlib import Path
 
 import mujoco
@@ -110,6 +111,8 @@ def test_other_shapes_are_enclosed(tmp_path: Path) -> None:
     points = rim.T @ data.xmat[first].reshape(3, 3).T + data.xpos[first]
     placed = place_capsules(model, forward_kinematics(model, np.zeros(2)))
     assert (distance_to_segment(points, placed.ends[1]) <= placed.radii[1] + 1e-9).all()
+    corners = np.array([0.0, 0.0, 0.1]) + np.array([0.1, 0.08, 0.05]) * list(product([-1, 1], repeat=3))
+    assert (distance_to_segment(corners, placed.ends[0]) <= placed.radii[0] + 1e-9).all()
 
 
 def test_meshes_of_a_urdf_become_capsules(tmp_path: Path) -> None:
@@ -339,31 +342,6 @@ def test_a_long_link_without_a_shape_is_refused(tmp_path: Path) -> None:
     path.write_text(MIXED.format('<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'))
     with pytest.raises(RobotError, match=r"bare\.xml: expected shapes of link b, 0\.30 m long, found none"):
         arm_model(path)
-
-
-@pytest.mark.parametrize(
-    ("links", "joints", "called", "moved"),
-    [
-        (("link_2", ""), ("a", "b"), ("base_link", "link_2", "link_2_"), ("a", "b")),
-        (("base_link", "link_0"), ("a", "b"), ("link_0_", "base_link", "link_0"), ("a", "b")),
-        (("", ""), ("joint_2", ""), ("base_link", "link_1", "link_2"), ("joint_2", "joint_2_")),
-    ],
-)
-def test_what_has_no_name_is_called_as_nothing_else_is(
-    tmp_path: Path,
-    links: tuple[str, str],
-    joints: tuple[str, str],
-    called: tuple[str, ...],
-    moved: tuple[str, ...],
-) -> None:
-    """Two links of one name ended in a trace when the arm's collision scene was made, and so did two joints."""
-    said = [f' name="{name}"' if name else "" for name in (*links, *joints)]
-    bodies = [f'<body{link}><joint{joint}/><geom size="0.1"/>' for link, joint in zip(said[:2], said[2:], strict=True)]
-    file = tmp_path / "arm.xml"
-    file.write_text(f"<mujoco><worldbody>{''.join(bodies)}</body></body></worldbody></mujoco>")
-    model = load_arm(file)
-    assert (model.link_names, model.joint_names) == (called, moved)
-    assert mujoco.MjModel.from_xml_string(write_mjcf(model)).njnt == 2
 
 
 @pytest.mark.parametrize("scaled", ["size=", "fromto=", "pos="])
