@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forecast_worlds import GRID, HEIGHT, WIDTH, ball_voxels, camera, floor_depth, state_of
+from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, camera, floor_depth, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -199,6 +199,27 @@ def test_what_a_gaussian_fills_stands_until_it_is_looked_at_again() -> None:
         layer = space.update(state, carver, carved=carver.carve(state, 0.0))
     [place] = GRID.indices(there[None])
     assert place in layer.indices
+
+
+def blinded(state: TwinState, columns: slice) -> TwinState:
+    """The state in which the images show nothing in some of their columns; depth may come by another lens."""
+    valid = np.ones((HEIGHT, WIDTH), np.bool_)
+    valid[:, columns] = False
+    views = tuple(replace(one, valid=valid) for one in state.frames.views)
+    masks = tuple(mask & valid for mask in state.moving_masks)
+    return replace(state, frames=replace(state.frames, views=views), moving_masks=masks)
+
+
+def test_where_no_image_tells_what_moves_nothing_is_taken_to_stand() -> None:
+    """Depth that another lens sees reaches beyond what the image covers: who moved there stood wherever they had been,
+    and the camera never sees past, for it frees nothing there."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=0))
+    for number in range(10):
+        there = np.array([-0.4 + 0.05 * number, 0.0, 0.3])
+        seen = state_of(number * 33_000_000, there, cameras=RIG[:1], with_depth=True)
+        state = blinded(seen, slice(0, WIDTH // 2))
+        layer = space.update(state, carver, carved=carver.carve(state, 0.0))
+    assert len(layer.indices) and not np.unravel_index(layer.indices.astype(np.int64), GRID.dims)[2].any()
 
 
 def noisy(state: TwinState, rng: np.random.Generator, sigma_m: float) -> TwinState:

@@ -128,7 +128,11 @@ class StaticSpace:
             view, moving, robot = state.frames.views[number], state.moving_masks[number], state.robot_masks[number]
             if view.depth is None:
                 continue
-            still = (view.depth > 0) & ~moving if robot is None else (view.depth > 0) & ~moving & ~robot
+            still = (view.depth > 0) & ~moving
+            if robot is not None:
+                still &= ~robot
+            if view.valid is not None:  # nobody tells what moves there
+                still &= view.valid
             mark(self.grid, self._surfaces, replace(view, depth=carver.calmed(view)), still)
         if before is not None:
             new = self._surfaces & ~before
