@@ -222,6 +222,17 @@ def test_where_no_image_tells_what_moves_nothing_is_taken_to_stand() -> None:
     assert len(layer.indices) and not np.unravel_index(layer.indices.astype(np.int64), GRID.dims)[2].any()
 
 
+def test_a_set_without_any_image_leaves_what_stands() -> None:
+    """Where each set is looked at it was a division by nought."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=0))
+    state = state_of(0, None, with_depth=True)
+    carver.carve(state, 0.0)
+    before = space.update(state, carver).indices
+    empty = state_of(33_000_000, None, cameras=())
+    carver.carve(empty, 0.0)
+    assert len(before) and np.array_equal(space.update(empty, carver).indices, before)
+
+
 def noisy(state: TwinState, rng: np.random.Generator, sigma_m: float) -> TwinState:
     views = tuple(
         replace(one, depth=one.depth + rng.normal(0, sigma_m, one.depth.shape).astype(np.float32))

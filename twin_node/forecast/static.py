@@ -76,7 +76,7 @@ class StaticSpace:
             self._doubtful, self._made_at = None, None
         is_due = self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns
         if is_due:
-            chosen = range(count) if self._made_at is None else (self._turn % count,)
+            chosen = range(count) if self._made_at is None else (self._turn % max(count, 1),)
             self._made_at = state.stamp
             self._turn += 1
             self._remember_surfaces(state, carver, chosen, own is not None)
