@@ -10,6 +10,7 @@ from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, ball_voxels, camera, floor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin_node.forecast import static
 from twin_node.forecast.backdrops import Backdrops
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.carving import Carver
@@ -220,6 +221,44 @@ def test_where_no_image_tells_what_moves_nothing_is_taken_to_stand() -> None:
         state = blinded(seen, slice(0, WIDTH // 2))
         layer = space.update(state, carver, carved=carver.carve(state, 0.0))
     assert len(layer.indices) and not np.unravel_index(layer.indices.astype(np.int64), GRID.dims)[2].any()
+
+
+def test_what_has_left_stays_away_though_nobody_sees_its_place_when_it_is_looked_at_anew() -> None:
+    carver, space, there = Carver(RigTables(GRID)), StaticSpace(GRID), np.array([0.0, 0.0, 0.3])
+    elsewhere = Bits.none(GRID.dims)
+    first, moves = standing_at_first(there), state_of(33_000_000, there, with_depth=True)
+    gone = state_of(66_000_000, there + np.array([0.35, 0, 0]), with_depth=True)
+    for state in (first, moves, gone):
+        left = space.update(state, carver, elsewhere, carver.carve(state, 0.0))
+    later = blinded(replace(gone, stamp=10_000_000_000), slice(None))
+    again = space.update(later, carver, elsewhere, carver.carve(later, 0.0))
+    assert again is not left and np.array_equal(again.indices, left.indices)
+
+
+def test_what_moved_before_the_last_look_takes_out_nothing_after_it() -> None:
+    """Noise takes a voxel of a table out now and then, for as long as pixels are believed to have shown a hand."""
+    carver, space, there = Carver(RigTables(GRID)), StaticSpace(GRID), np.array([0.0, 0.0, 0.3])
+    first, moves = standing_at_first(there), state_of(33_000_000, there, with_depth=True)
+    for state in (first, moves):
+        space.update(state, carver, carved=carver.carve(state, 0.0))
+    looked_at = replace(first, stamp=1_000_000_000)
+    before = space.update(looked_at, carver, carved=carver.carve(looked_at, 0.0))
+    far = state_of(1_033_000_000, None, with_depth=True)
+    carved = carver.carve(far, 0.0)
+    assert not (carved.may_move | carved.unknown).holds(before.indices).all()
+    assert space.update(far, carver, carved=carved) is before
+
+
+def test_cameras_are_looked_at_all_at_once_and_then_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[str] = []
+    monkeypatch.setattr(static, "mark", lambda grid, marked, view, where: looked.append(view.camera.name))
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=400_000_000))
+    names = [view.camera.name for view in state_of(0, None).frames.views]
+    for stamp in (0, 99_999_999, 100_000_000, 199_999_999, 200_000_000, 300_000_000, 400_000_000):
+        state = state_of(stamp, None, with_depth=True)
+        carver.carve(state, 0.0)
+        space.update(state, carver)
+    assert looked == [*names, *names[1:], names[0]]
 
 
 def test_a_set_without_any_image_leaves_what_stands() -> None:
