@@ -9,10 +9,11 @@ import pytest
 from forecast_worlds import GRID, HEIGHT, RIG, WIDTH, camera, pixels_of, state_of
 from numpy.typing import NDArray
 
+from twin_node.forecast import Forecaster
 from twin_node.forecast.carving import Carver, Opaque
 from twin_node.forecast.tables import RigTables
 from twin_node.geometry import project
-from twin_node.scene import Camera, Float64, FrameSet
+from twin_node.scene import Camera, Float64, FrameSet, TwinState
 
 CENTER = np.array([0.1, -0.05, 0.45])
 
@@ -91,6 +92,36 @@ def test_a_camera_whose_depth_image_is_lost_does_not_see_past_what_stands_before
     pixel = pixels_of(view.camera, centers)
     assert unknown[(pixel >= 0) & (pixel % WIDTH < WIDTH // 2)].all()
     assert not unknown[(pixel >= 0) & (pixel % WIDTH >= WIDTH // 2) & (centers[:, 2] > 0.1)].any()
+
+
+def before_cabinet(state: TwinState) -> TwinState:
+    """The state before something dark, of which cameras measure no depth."""
+    is_dark = np.zeros((HEIGHT, WIDTH), np.bool_)
+    is_dark[20:50, 30:66] = True
+    views = (
+        view if view.depth is None else replace(view, depth=np.where(is_dark, np.float32(0), view.depth))
+        for view in state.frames.views
+    )
+    return replace(state, frames=replace(state.frames, views=tuple(views)))
+
+
+def test_a_camera_whose_depth_image_is_lost_sees_past_nothing_that_it_has_never_measured() -> None:
+    """A dark cabinet: with its depth image a camera frees nothing there, and without it freed all that is behind."""
+    carver, state = Carver(RigTables(GRID)), state_of(0, None, cameras=RIG[:2], with_depth=True)
+    before = carver.carve(before_cabinet(state), 0.0).unknown
+    lost = carver.carve(state_of(33_000_000, None, cameras=RIG[:2]), 0.0).unknown
+    hidden = before.indices()[GRID.centers(before.indices())[:, 2] > 0.06]  # the floor has no voxels that stand here
+    assert len(hidden) > 5000 and lost.holds(hidden).all()
+    assert lost.count < 1.2 * before.count, "elsewhere it frees as much"
+
+
+def test_what_may_be_behind_a_dark_cabinet_is_not_forgotten_for_a_depth_image_that_is_lost() -> None:
+    forecaster, hidden = Forecaster(GRID), []
+    for number in range(3):
+        state = state_of(number * 33_000_000, None, cameras=RIG[:2], with_depth=number != 1)
+        hidden.append(forecaster.update(before_cabinet(state), state.stamp).hidden)
+    assert hidden[0].maybe_full.count > 5000
+    assert hidden[2].maybe_full.count == hidden[0].maybe_full.count
 
 
 def test_a_camera_without_depth_sees_past_neither_what_stands_nor_what_is_measured_to_move() -> None:

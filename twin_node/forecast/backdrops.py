@@ -27,6 +27,8 @@ NOISE_SHARE, NOISE = 0.01, 0.01
 HOLE = 2
 """An unmeasured pixel stands as deep as the deepest that is known within so many pixels: depth cameras miss single
 pixels, and the edges of what stands."""
+_BESIDE = np.ones((3, 3), np.uint8)
+"""A pixel, and those right beside it."""
 
 
 class Backdrops:
@@ -45,6 +47,14 @@ class Backdrops:
         """[H, W] depth of what stands behind each pixel, m; `UNSEEN` where nothing that stands has been seen."""
         return self._of(view).filled
 
+    def unmeasured(self, view: View) -> Bool | None:
+        """[H, W] pixels of which no depth of what stands is known, nor right beside them; None for a camera that has
+        sent no depth yet."""
+        known = self._found(view)
+        if known is None:
+            return None
+        return np.asarray(cv2.dilate((known.kept < UNSEEN).astype(np.uint8), _BESIDE) == 0)
+
     def calmed(self, view: View) -> Float32:
         """[H, W] the depth that a view measures, m: its mean where the two differ by no more than noise does."""
         assert view.depth is not None
@@ -53,11 +63,15 @@ class Backdrops:
         return np.where(is_noise, mean, view.depth)
 
     def _of(self, view: View) -> Backdrop:
-        known = self._known.get(view.camera.name)
-        if known is None or known.kept.shape != view.rgb.shape[:2]:
+        known = self._found(view)
+        if known is None:
             nothing = np.full(view.rgb.shape[:2], UNSEEN, np.float32)
             return Backdrop(nothing, nothing)
         return known
+
+    def _found(self, view: View) -> Backdrop | None:
+        known = self._known.get(view.camera.name)
+        return None if known is None or known.kept.shape != view.rgb.shape[:2] else known
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,8 @@ class Carver:
     def _end_before(self, moving: NDArray[np.int64], look: Look, sight: Sight) -> None:
         """Lets a view without depth free nothing behind what is known to stand, nor behind what is measured to move.
 
-        It does not measure how far it sees, and may take who keeps still for ground. `moving` [n]: flat indices.
+        It does not measure how far it sees, and may take who keeps still for ground. One whose depth image is missing
+        frees nothing where it has never measured any either, as with that image. `moving` [n]: flat indices.
         """
         known = np.minimum(self._fronts.of(look.table), self._backdrops.of(look.view))
         if len(moving):
@@ -138,6 +139,9 @@ class Carver:
         fronts = known * np.float32(1 - self.parameters.depth_share) - np.float32(self.parameters.depth_margin)
         freed = sight.free_until[:-1]
         np.minimum(freed, np.where(known > 0, fronts, freed), out=freed)
+        unmeasured = self._backdrops.unmeasured(look.view)
+        if unmeasured is not None:
+            freed[dilated(unmeasured, look.error_pixels).ravel()] = 0
 
     def _calibration_error(self, camera: Camera) -> float:
         """By how far a camera's calibration lets masks and surfaces be off, m.
