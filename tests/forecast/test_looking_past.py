@@ -86,6 +86,21 @@ def test_a_camera_that_saw_past_somebody_frees_nothing_there_for_a_while(after_n
     assert (carver.frees(later, BALL).mean() > 0.5) == frees
 
 
+def test_a_camera_that_saw_past_somebody_frees_nothing_there_without_its_depth_image_either() -> None:
+    """What it knew to be the ground is what the mirror shows, behind them."""
+    carver = Carver(RigTables(GRID))
+    carver.carve(mirrored(seen(0, None)), 0.0)
+    carver.carve(mirrored(seen(1)), 0.0)
+    told = carver.warnings
+    lost = mirrored(seen(2))
+    first, *others = lost.frames.views
+    lost = replace(lost, frames=replace(lost.frames, views=(replace(first, depth=None), *others)))
+    carver.carve(lost, 0.0)
+
+    assert not carver.frees(lost, BALL).any()
+    assert carver.warnings == told != ()
+
+
 def test_a_rig_without_mirrors_believes_all() -> None:
     carver = Carver(RigTables(GRID))
     for tick in range(20):

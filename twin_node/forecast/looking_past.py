@@ -113,7 +113,7 @@ class LookingPast:
 
     def _doubted(self, look: Look, stamp: int) -> Bool | None:
         caught = self._caught.get(look.view.camera.name)
-        if caught is None or caught.shape != look.moving.shape or look.view.depth is None:
+        if caught is None or caught.shape != look.moving.shape:
             return None
         doubted: Bool = stamp - caught <= HELD_NS
         return doubted if doubted.any() else None
