@@ -261,6 +261,36 @@ def test_cameras_are_looked_at_all_at_once_and_then_one_after_the_other(monkeypa
     assert looked == [*names, *names[1:], names[0]]
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("cameras", [2, 4])
+def test_what_stands_is_found_where_depth_comes_with_every_other_set(cameras: int, first: int) -> None:
+    """Turns are a whole number of sets long, and all came with those in between: nothing ever stood."""
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    for number in range(40):
+        seen = state_of(number * 33_333_333, None, cameras=RIG[:cameras], with_depth=number % 2 == first)
+        layer = space.update(seen, carver, carved=carver.carve(seen, 0.0))
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID)
+    whole = state_of(0, None, cameras=RIG[:cameras], with_depth=True)
+    carver.carve(whole, 0.0)
+    assert np.array_equal(layer.indices, space.update(whole, carver).indices)
+
+
+def test_a_camera_whose_depth_has_failed_holds_up_its_own_turn_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[tuple[str, int]] = []
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=400_000_000))
+    first, second, third, failed = (camera.name for camera in RIG)
+    for stamp in range(0, 1_000_000_000, 50_000_000):
+        state = state_of(stamp, None, with_depth=True)
+        views = (replace(one, depth=None) if stamp and one.camera.name == failed else one for one in state.frames.views)
+        state = replace(state, frames=replace(state.frames, views=tuple(views)))
+        carver.carve(state, 0.0)
+        monkeypatch.setattr(
+            static, "mark", lambda *asked, at=stamp // 1_000_000: looked.append((asked[2].camera.name, at))
+        )
+        space.update(state, carver)
+    assert looked[4:] == [(second, 100), (third, 200), (first, 500), (second, 600), (third, 700)]
+
+
 def test_a_set_without_any_image_leaves_what_stands() -> None:
     """Where each set is looked at it was a division by nought."""
     carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=0))

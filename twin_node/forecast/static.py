@@ -59,6 +59,8 @@ class StaticSpace:
         """What stands by its measured surface alone."""
         self._moved: dict[str, Bool] = {}
         """By camera, the pixels [H, W] that have shown something move since the layer was refreshed."""
+        self._measuring: set[str] = set()
+        """Names of the cameras that have sent depth."""
         self._made_at: int | None = None
         self._turn = 0
 
@@ -74,7 +76,8 @@ class StaticSpace:
         if own is not None and self._doubtful is not None:
             self._surfaces[self._around(own).mask() & self._doubtful] = False
             self._doubtful, self._made_at = None, None
-        is_due = self._made_at is None or (state.stamp - self._made_at) * count >= self.parameters.period_ns
+        self._measuring.update(view.camera.name for view in state.frames.views if view.depth is not None)
+        is_due = self._is_due(state)
         if is_due:
             chosen = range(count) if self._made_at is None else (self._turn % max(count, 1),)
             self._made_at = state.stamp
@@ -94,6 +97,19 @@ class StaticSpace:
         if carved is not None and not is_due:
             self._leave(state, carver, carved)
         return self._layer
+
+    def _is_due(self, state: TwinState) -> bool:
+        """Whether the next camera is to be looked at.
+
+        One that measures depth is waited for as long again while its depth image is missing: where these come with
+        every other set, turns would else come with the sets in between for good.
+        """
+        if self._made_at is None:
+            return True
+        views = state.frames.views
+        waiting = views[self._turn % max(len(views), 1) :][:1]
+        is_lost = any(view.depth is None and view.camera.name in self._measuring for view in waiting)
+        return (state.stamp - self._made_at) * len(views) >= self.parameters.period_ns * (2 if is_lost else 1)
 
     def _leave(self, state: TwinState, carver: Carver, carved: Carved) -> None:
         """Takes out the surfaces of what has moved and is seen to be gone.
