@@ -64,6 +64,12 @@ def test_what_keeps_still_is_none_nor_what_a_camera_measures() -> None:
     assert not any(told([state(tick, 0.05 * tick - 0.3, (1, 2), (0,)) for tick in range(10)]))
 
 
+def test_what_keeps_still_and_was_measured_is_none_without_its_depth_image_either() -> None:
+    """It shows nothing new, though before it was no part of what is not measured."""
+    still = [state(tick, 0.1, (1, 2), (0,)) for tick in range(20)]
+    assert not any(told([*still, state(20, 0.1, (1, 2)), *(state(tick, 0.1, (1, 2), (0,)) for tick in (21, 22))]))
+
+
 @pytest.mark.parametrize("cameras", [1, 3])
 def test_who_comes_in_before_one_depth_camera_that_measures_nothing_of_them_is_a_warning(cameras: int) -> None:
     assert all(told([dark(tick, 0.05 * tick - 0.3, cameras) for tick in range(10)])[4:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.tables import RigTables
-from twin_node.scene import Bool, TwinState
+from twin_node.scene import Bool, TwinState, View
 
 FRESH_NS = 400_000_000
 """What has begun to move in an image within this time, ns: remains of what moved on stay in masks for longer."""
@@ -24,7 +25,7 @@ class LoneSights:
 
     def __init__(self, tables: RigTables) -> None:
         self._tables = tables
-        self._past: dict[str, deque[tuple[int, Bool]]] = {}
+        self._past: dict[str, deque[_Shown]] = {}
         self.within: NDArray[np.int64] = np.zeros(0, np.int64)
         """[n] unknown voxels behind such pixels, of what keeps still too, by the last state: somebody is in there."""
 
@@ -37,7 +38,7 @@ class LoneSights:
         is_so, within = False, [np.zeros(0, np.int64)]
         for view, moves in zip(state.frames.views, state.moving_masks, strict=True):
             mask = moves if view.depth is None else moves & (view.depth <= 0)  # dark clothes; edges are too narrow
-            fresh = mask & ~self._before(view.camera.name, view.stamp, mask)
+            fresh = mask & ~self._before(view, moves, mask)
             if np.count_nonzero(_without_rims(mask)) < SMALLEST_SHARE * mask.size:
                 continue
             table, blocks = self._tables.of(view.camera), self._tables.blocks
@@ -56,15 +57,29 @@ class LoneSights:
         self.within = np.concatenate(within)
         return is_so
 
-    def _before(self, camera: str, stamp: int, mask: Bool) -> Bool:
-        """A camera's mask of `FRESH_NS` ago, or its first one; keeps the present one."""
-        past = self._past.get(camera)
-        if past is None or past[0][1].shape != mask.shape:
-            past = self._past[camera] = deque()
-        past.append((stamp, mask))
-        while len(past) > 1 and stamp - past[1][0] >= FRESH_NS:
+    def _before(self, view: View, moves: Bool, mask: Bool) -> Bool:
+        """What a view's `mask` would have been `FRESH_NS` ago, or in its first image; keeps the present one.
+
+        Without depth all that `moves` is: what was measured then, and is not now, is no newer for that.
+        """
+        past = self._past.get(view.camera.name)
+        if past is None or past[0].mask.shape != mask.shape:
+            past = self._past[view.camera.name] = deque()
+        past.append(_Shown(view.stamp, moves, mask))
+        while len(past) > 1 and view.stamp - past[1].stamp >= FRESH_NS:
             past.popleft()
-        return past[0][1]
+        return past[0].moves if view.depth is None else past[0].mask
+
+
+class _Shown(NamedTuple):
+    """What one image showed."""
+
+    stamp: int
+    """ns."""
+    moves: Bool
+    """[H, W]."""
+    mask: Bool
+    """[H, W] of this what was not measured."""
 
 
 def _without_rims(mask: Bool) -> Bool:
