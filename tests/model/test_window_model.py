@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -216,6 +217,26 @@ def test_a_camera_that_comes_late_is_explained_too() -> None:
             early = squared_error(model.render(CAMERAS[2]).rgb, state.frames.views[2].rgb / 255).mean()
     late = squared_error(model.render(CAMERAS[2]).rgb, state.frames.views[2].rgb / 255).mean()
     assert psnr(late) > psnr(early) + 1
+
+
+@pytest.mark.parametrize(
+    "laid",
+    [np.asfortranarray, lambda image: image[::-1].copy()[::-1], lambda image: image[:, ::-1].copy()[:, ::-1]],
+    ids=["by columns", "from below", "from the right"],
+)
+def test_images_may_lie_in_memory_as_turned_ones_do(laid: Callable[[np.ndarray], np.ndarray]) -> None:
+    """NumPy turns images without moving their pixels. Depth by columns scrambled what masks took for ground, and what
+    lies backwards ended in a traceback."""
+    plain, turned = WindowModel(QUICK), WindowModel(QUICK)
+    for one in sliding(4, CAMERAS, depth=True):
+        views = tuple(
+            replace(view, rgb=laid(view.rgb), depth=laid(view.depth), valid=laid(np.ones(view.rgb.shape[:2], bool)))
+            for view in one.views
+            if view.depth is not None
+        )
+        expected, found = plain.update(one), turned.update(replace(one, views=views))
+        np.testing.assert_array_equal(np.stack(found.moving_masks), np.stack(expected.moving_masks))
+    np.testing.assert_array_equal(found.gaussians.means, expected.gaussians.means)
 
 
 def test_one_camera_is_enough_to_run() -> None:

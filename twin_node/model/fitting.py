@@ -89,7 +89,7 @@ def _black(view: View, like: Tensor) -> Tensor:
     """[H, W, 4] colour and depth behind all: where a Gaussian lets light through, its depth alone is compared."""
     backdrop = like.new_zeros(*view.rgb.shape[:2], 4)
     if view.depth is not None:
-        backdrop[..., 3] = torch.from_numpy(view.depth).to(like.device)
+        backdrop[..., 3] = torch.from_numpy(np.ascontiguousarray(view.depth)).to(like.device)
     return backdrop
 
 

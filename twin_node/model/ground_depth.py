@@ -44,7 +44,9 @@ class GroundDepth:
 
     def __init__(self, view: View) -> None:
         shape = view.rgb.shape[:2]
-        self.known = np.zeros(shape, np.float32) if view.depth is None else view.depth.astype(np.float32)  # m, or 0
+        self.known = np.zeros(shape, np.float32)  # m, or 0
+        if view.depth is not None:
+            self.known[:] = view.depth  # row by row, whatever the order of the image's own pixels in memory
         self.measured = np.zeros(shape, np.float32)  # m, by the newest image that measured it
         self.telling = np.zeros(shape, np.float32)  # share of the images of ground that measured it
         self.blind_ns = np.zeros(shape, np.float32)  # since that image

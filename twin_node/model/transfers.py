@@ -29,7 +29,7 @@ def on_host(tensor: Tensor) -> NDArray[Any]:
 def sent(images: Sequence[NDArray[Any]], size: tuple[int, int], device: torch.device) -> Tensor:
     """[C, *size, ...] images [H, W, ...] on a device, with zeros below and to the right of smaller ones."""
     shape = (len(images), *size, *images[0].shape[2:])
-    kind = torch.from_numpy(images[0]).dtype
+    kind = torch.from_numpy(np.empty(0, images[0].dtype)).dtype
     together = torch.empty(shape, dtype=kind, pin_memory=device.type == "cuda")
     for image, own in zip(images, together.numpy(), strict=True):
         if image.shape[:2] != size:

@@ -55,6 +55,12 @@ def stored(count: int, seed: int = 0) -> StoredGaussians:
     )
 
 
+def backwards(view: View) -> View:
+    """The view in images that lie in memory as those do whose colours or rows were turned around."""
+    valid = np.ones(view.rgb.shape[:2], bool)[::-1]
+    return dataclasses.replace(view, rgb=view.rgb[..., ::-1].copy()[..., ::-1], valid=valid)
+
+
 def assert_equal_models(a: Trainer, b: Trainer) -> None:
     for name in PLACES:
         torch.testing.assert_close(getattr(a.model.gaussians, name), getattr(b.model.gaussians, name), rtol=0, atol=0)
@@ -101,6 +107,14 @@ def test_equal_seeds_give_equal_models_and_others_do_not() -> None:
     other = Trainer(recording, with_method("hexplane", seed=1))
     assert run(a) == run(b) != run(other)
     assert_equal_models(a, b)
+
+
+def test_images_may_lie_backwards_in_memory() -> None:
+    """As those do whose blue and red NumPy has changed over: training ended in a traceback."""
+    recording = block_recording(2)
+    turned = dataclasses.replace(recording, train=tuple(backwards(view) for view in recording.train))
+    runs = [Trainer(one, with_method("static", steps=2)) for one in (recording, turned)]
+    assert run(runs[0]) == run(runs[1])
 
 
 def test_seeds_and_purposes_have_draws_of_their_own() -> None:

@@ -118,8 +118,8 @@ class Trainer:
     def _loss(self, rgb: Tensor, index: int) -> Tensor:
         p = self.parameters
         view = self.recording.train[index]
-        target = torch.from_numpy(view.rgb).to(self._device).float() / 255
-        weights = None if view.valid is None else torch.from_numpy(view.valid).to(self._device)
+        target = torch.from_numpy(np.ascontiguousarray(view.rgb)).to(self._device).float() / 255
+        weights = None if view.valid is None else torch.from_numpy(np.ascontiguousarray(view.valid)).to(self._device)
         return splat.image_loss(rgb, target, weights=weights, l1=p.l1, ssim=p.ssim)
 
     def _apply(self) -> None:
