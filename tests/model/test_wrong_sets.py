@@ -47,6 +47,14 @@ def test_images_that_are_not_of_their_cameras_size_are_refused(name: str, shape:
         model.update(replace(one, views=(one.views[0], wrong, *one.views[2:])))
 
 
+def test_cameras_of_one_name_are_refused() -> None:
+    """Each was compared with what the last of them sees, and all of it moved."""
+    model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
+    views = tuple(replace(view, camera=replace(view.camera, name="cam")) for view in one.views)
+    with pytest.raises(ModelError, match="set 0: expected one view of a camera, found 3 of cam; give every camera a"):
+        model.update(replace(one, views=views))
+
+
 def test_stamps_in_seconds_are_refused() -> None:
     model, one = WindowModel(QUICK), sliding(1, CAMERAS)[0]
     wrong = replace(one.views[1], stamp=1.7e9)

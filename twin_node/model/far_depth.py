@@ -1,4 +1,5 @@
-"""Depth far beyond all that the cameras look over: what sensors send for "nothing measured", and wrong units."""
+"""Depth that is no measurement: far beyond all that the cameras look over, as sensors send for "nothing measured" and
+wrong units are, negative, or not finite."""
 
 from __future__ import annotations
 
@@ -52,3 +53,15 @@ class FarDepth:
         if view.depth is None:
             return view
         return replace(view, depth=np.where(view.depth > self._farthest, np.float32(0), view.depth))
+
+
+def wild_depth(view: View) -> str | None:
+    """Where a view's depth is negative or not finite, as a sentence for an error; None where it is nowhere."""
+    depth = view.depth
+    if depth is None or (depth.min(initial=0) >= 0 and depth.max(initial=0) < np.inf):
+        return None
+    row, column = np.argwhere(~((depth >= 0) & (depth < np.inf)))[0]
+    return (
+        f"camera {view.camera.name}: expected depth in metres, 0 where unknown, found {depth[row, column]} at row "
+        f"{row}, column {column}; put 0 there"
+    )

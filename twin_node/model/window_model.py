@@ -17,7 +17,7 @@ from twin_node.model.balance import balance_joining
 from twin_node.model.decisions import Decision
 from twin_node.model.devices import usable_device
 from twin_node.model.exposure import Exposures, Levelled
-from twin_node.model.far_depth import FarDepth
+from twin_node.model.far_depth import FarDepth, wild_depth
 from twin_node.model.field import HexPlane
 from twin_node.model.first_light import FirstLight
 from twin_node.model.fitting import fit_all
@@ -168,8 +168,9 @@ class WindowModel:
         """What a set shows, with the model of the set before: its images levelled, and what moves in them.
 
         A forecast of what measured depth shows needs no more, and has it long before the model. The first set is
-        modelled whole at once. Raises `ModelError` for a set without views, older than the last, with images that are
-        not of their camera's size, or with depth that is negative or not finite.
+        modelled whole at once. Raises `ModelError` for a set without views, with two of one camera, or older than the
+        last, with images that are not of their camera's size, or with depth that is negative or not finite, and
+        `RobotError` for joints of another arm.
         """
         self._check(frames)
         begun, is_first = self._begun, self._begun is None
@@ -289,8 +290,14 @@ class WindowModel:
     def _check(self, frames: FrameSet) -> None:
         if not frames.views:
             raise ModelError(f"set {frames.sequence}: expected at least one view, found none; check the synchroniser")
+        names = [view.camera.name for view in frames.views]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ModelError(
+                f"set {frames.sequence}: expected one view of a camera, found {names.count(twice)} of {twice}; give "
+                "every camera a name of its own"
+            )
         for view in frames.views:
-            if misfit := view.misfit() or _wild_depth(view):
+            if misfit := view.misfit() or wild_depth(view):
                 raise ModelError(f"set {frames.sequence}: {misfit}")
         if self._begun is not None and frames.stamp < self._looked_at:
             raise ModelError(
@@ -386,15 +393,3 @@ class WindowModel:
         with torch.no_grad():
             seen = render(splats, [camera])[0]
         return ModelImage(seen.rgb.clamp(0, 1).cpu().numpy(), seen.depth.cpu().numpy(), seen.alpha.cpu().numpy())
-
-
-def _wild_depth(view: View) -> str | None:
-    """Where a view's depth is negative or not finite, as a sentence for an error; None where it is nowhere."""
-    depth = view.depth
-    if depth is None or (depth.min(initial=0) >= 0 and depth.max(initial=0) < np.inf):
-        return None
-    row, column = np.argwhere(~((depth >= 0) & (depth < np.inf)))[0]
-    return (
-        f"camera {view.camera.name}: expected depth in metres, 0 where unknown, found {depth[row, column]} at row "
-        f"{row}, column {column}; put 0 there"
-    )
