@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from model_scenes import table
+from model_scenes import BLOCK_SPEED, rig, sliding, table
 from test_steps import CAMERAS, look_at, observe, world
 
+from twin_node.model import ModelParameters, SeedParameters, WindowModel
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import ChangedView, Kind, LogEvidence
 from twin_node.model.gaussians import QUAT, Gaussians
@@ -59,6 +60,22 @@ def test_one_set_without_rest_and_it_is_counted_from_the_beginning() -> None:
 
 def test_nobody_has_rested_through_a_pause_in_which_no_image_came() -> None:
     assert sets_until_settled([RESTS], 20.0) == 2
+
+
+@pytest.mark.parametrize("pause_s", [2, 20])
+def test_what_stood_through_a_pause_and_goes_on_is_no_furniture_and_as_fast_as_before(pause_s: int) -> None:
+    """What was told over the pause outweighed all that came for a second, in which the block counted as standing."""
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=24), gaussians_per_pixel=0.5))
+    settled = []
+    for index, one in enumerate(sliding(22, rig(), depth=True)):
+        later_ns = pause_s * SECOND_NS if index >= 14 else 0
+        views = tuple(replace(view, stamp=view.stamp + later_ns) for view in one.views)
+        state = model.update(replace(one, stamp=one.stamp + later_ns, views=views))
+        model.refine()
+        settled += [decision for decision in model.decisions if decision.kind == Kind.SETTLED]
+        if index == 19:
+            assert state.nodes.velocities[:, 0].max() == pytest.approx(BLOCK_SPEED, abs=0.3 * BLOCK_SPEED)
+    assert not settled
 
 
 def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_again() -> None:

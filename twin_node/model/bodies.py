@@ -13,9 +13,10 @@ from twin_node.model.creep import Creep
 from twin_node.model.decisions import Decision, LogEvidence
 from twin_node.model.gaussians import Gaussians
 from twin_node.model.merge_split import MergeSplit
-from twin_node.model.nodes import Nodes
+from twin_node.model.nodes import FORETOLD_NS, Nodes
 from twin_node.model.normal_equations import NormalEquations
 from twin_node.model.regrouping import Carried, regroup
+from twin_node.model.usual_pace import USUAL_PERIOD_S
 from twin_node.model.velocity_equations import PARAMETERS, PoseEquations
 from twin_node.scene import Float64, Tier
 
@@ -34,6 +35,8 @@ class Bodies:
         self._merge_split = MergeSplit()
         self._creep = Creep(gaussians.capacity)
         self._undecided_s = 0.0
+        self._period_s = 0.0
+        """From the set before the last one to that, s."""
         self.decided_s = 0.0
         """Time that the last `regroup` has decided about, s; 0 where it has put decisions off."""
 
@@ -55,13 +58,20 @@ class Bodies:
     def accumulate(self, cells: Cells, moved: Float64, said: NormalEquations, dt_s: float) -> None:
         """Takes note of what the flow under the cells, which have `moved`, says before it has moved the nodes.
 
-        `dt_s`: time since the set before.
+        `dt_s`: time since the set before. How fast things were on average over a pause says little of how fast they
+        are, nor whether they rested meanwhile: it counts as what is told over the time between the two sets before, or
+        over the usual one.
         """
         part, sums = slice(PARAMETERS), said.sums
         origins = self._nodes.positions.numpy()[cells.nodes]
         one = PoseEquations(sums.H[:, part, part], sums.g[:, part], sums.squares, said.count, origins, moved)
-        self._merge_split.accumulate(cells, one.velocity_equations(max(dt_s, SHORTEST_S)), dt_s)
-        self._undecided_s += dt_s
+        told, counted_s = one.velocity_equations(max(dt_s, SHORTEST_S)), dt_s
+        if dt_s * 1e9 > FORETOLD_NS:
+            counted_s = min(max(self._period_s, USUAL_PERIOD_S), dt_s)
+            told = told.faded((counted_s / dt_s) ** 2)
+        self._merge_split.accumulate(cells, told, dt_s)
+        self._undecided_s += counted_s
+        self._period_s = dt_s
 
     def go_on(self, cells: Cells) -> None:
         """Nodes take over the velocities that were heard of; called once they stand where this set has them."""

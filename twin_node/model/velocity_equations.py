@@ -70,6 +70,10 @@ class VelocityEquations:
         H = (share @ self.H.reshape(len(self), -1)).reshape(-1, PARAMETERS, PARAMETERS)
         return VelocityEquations(H, share @ self.g, share @ self.squares, share @ self.counts)
 
+    def faded(self, share: float) -> VelocityEquations:
+        """The same as if only a `share` of it had been said."""
+        return VelocityEquations(*(share * values for values in vars(self).values()))
+
     def over(self, variances: Float64) -> VelocityEquations:
         """The same in units in which their errors, of `variances` [n] as they are, have the variance 1."""
         share = 1 / variances
