@@ -43,6 +43,15 @@ def test_without_selection_the_images_are_explained_all_the_same() -> None:
     assert psnr(squared_error(model.render(view.camera).rgb, view.rgb / 255).mean()) > 20
 
 
+def test_without_selection_steps_that_diverge_are_followed_by_smaller_ones() -> None:
+    """The rate stayed as it was, so that of every third set here nothing was learnt."""
+    model = WindowModel(replace(UNSELECTED, track=replace(UNSELECTED.track, learning_rate=4.0)))
+    warnings = [model.update(one).warnings for one in sliding(12, CAMERAS, depth=True)]
+    braked = [line for lines in warnings for line in lines if "steps made the images worse" in line]
+    assert braked[0].endswith("at a rate of 0.4")
+    assert len(braked) <= 2
+
+
 def test_where_nothing_bends_every_node_stays_rigid() -> None:
     """Evidence says that every node bends: it does where it may, and not where it may not; what is found is told."""
     tiers, told = [], []

@@ -252,15 +252,15 @@ class Tracker:
     def _fit(self, observed: Sequence[Observed], around: Splats) -> Fitted:
         """Canonical attributes of what moves by a few gradient steps; after some that diverged the next are smaller."""
         g, track = self._gaussians, self._parameters.track
-        poses = self._placer.poses(observed)
-        if not track.selects:
+        poses, rate = self._placer.poses(observed), self._pace * track.learning_rate
+        if track.selects:
+            masks = held_pixels(observed, self._placer.place(g.moving_rows, observed, poses))
+            steps = self._step_budget.steps(Part.FIT)
+            fitted = fit_moving(g, self._motion, observed, poses, masks, around, steps, rate)
+            self._step_budget.done(Part.FIT, steps)
+        else:
             self._backgrounds.mark()
-            return fit_unselected(g, self._motion, observed, poses, track.steps, track.learning_rate)
-        moving = self._placer.place(g.moving_rows, observed, poses)
-        masks = held_pixels(observed, moving)
-        rate, steps = self._pace * track.learning_rate, self._step_budget.steps(Part.FIT)
-        fitted = fit_moving(g, self._motion, observed, poses, masks, around, steps, rate)
-        self._step_budget.done(Part.FIT, steps)
+            fitted = fit_unselected(g, self._motion, observed, poses, track.steps, rate)
         self._pace = self._pace * BRAKE if fitted.diverged else min(1.0, self._pace * PICK_UP)
         return fitted
 
