@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from model_scenes import rig, table
+from model_scenes import rig, sliding, table
 
-from twin_node.model import unseen
+from twin_node.model import BirthParameters, ModelParameters, SeedParameters, WindowModel, unseen
 from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.plane import Plane
@@ -156,6 +156,17 @@ def test_what_stands_leaves_room_for_what_moves() -> None:
     for _ in range(EVERY_SETS * len(CAMERAS)):
         watched.watch(CAMERAS)
     assert len(held) > most - 100, "no more of them than that"
+
+
+def test_what_moves_may_take_all_the_room_that_there_is_and_no_more() -> None:
+    """All that the first set was seeded with went as soon as all cameras had been looked through."""
+    parameters = ModelParameters(seed=SeedParameters(steps=1), birth=BirthParameters(moving_share=1.0))
+    model, counts = WindowModel(parameters), []
+    for one in sliding(30, rig(40, 30), depth=True, still=30):
+        model.update(one)
+        model.refine()
+        counts.append(model.tier_counts[Tier.STATIC])
+    assert min(counts) > 0.9 * counts[0]
 
 
 def test_what_the_arm_is_made_of_takes_room_from_what_stands() -> None:

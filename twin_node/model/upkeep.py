@@ -37,7 +37,7 @@ class Upkeep:
         self._backgrounds = backgrounds
         self.skin: ArmSkin | None = None
         """That of the arm, once it is known where that is."""
-        most_static = int((1 - parameters.birth.moving_share) * gaussians.capacity)
+        most_static = max(int((1 - parameters.birth.moving_share) * gaussians.capacity), len(gaussians))
         self._mapper = Mapper(parameters.map, gaussians, backgrounds, most_static)
         self._learning: Sliced | None = None
         """What has begun to be learnt of a set and was not left the time to end."""
