@@ -85,6 +85,18 @@ def test_a_scene_at_rest_is_learnt_better_and_then_stays_as_it_is_to_the_bit() -
     assert np.array_equal(still(states[70]), still(states[-1]))
 
 
+def test_a_camera_that_is_in_every_second_set_has_its_turn_too() -> None:
+    """It never came to it: what it sees stayed as the first set had left it."""
+    model = WindowModel(ModelParameters(seed=SeedParameters(steps=8), gaussians_per_pixel=0.5))
+    shown = []
+    for index, one in enumerate(sliding(40, rig()[:2], depth=True, still=40)):
+        model.update(one if index % 2 == 0 else replace(one, views=one.views[:1]))
+        model.refine()
+        slow = one.views[1]
+        shown.append(psnr(squared_error(model.render(slow.camera).rgb, slow.rgb / 255).mean()))
+    assert shown[-1] > shown[0] + 2
+
+
 def test_edges_of_what_stands_look_no_worse_for_depth_that_is_wrong_beside_them() -> None:
     """As a stereo camera measures: what is near is a pixel wider than it is, and the image is noisy."""
     rng, cameras = np.random.default_rng(0), rig(120, 90)

@@ -89,6 +89,8 @@ class Mapper:
         self._pruner = Pruner(gaussians, backgrounds, most_static)
         self._side_thread = SideThread(stay_alone)
         self._turn = 0
+        self._looked: dict[str, int] = {}
+        """In which turn each camera, by its name, has been looked through last."""
 
     def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
         """Takes up to `steps`, 1 or more, by what the set at `stamp` (ns) shows, slice by slice; see `stages.Sliced`.
@@ -97,11 +99,17 @@ class Mapper:
         """
         self._turn += 1
         views = [_Wanting(one.background, self._rest_of(one)) for one in observed]
-        index = self._turn % len(observed)
+        index = self._longest_waiting([view.camera.name for view in views])
+        self._looked[views[index].camera.name] = self._turn
         views[index].rest.see(observed[index], self._parameters)
         self._fill(views, index, stamp)
         yield from self._learn(views, steps)
         self._pruner.watch([view.camera for view in views])
+
+    def _longest_waiting(self, names: Sequence[str]) -> int:
+        """Which of the cameras of a set it is the turn of: of some that are in every second set only, too."""
+        waiting = [(self._looked.get(name, 0), (at - self._turn) % len(names)) for at, name in enumerate(names)]
+        return waiting.index(min(waiting))
 
     def _rest_of(self, one: Observed) -> Rest:
         """What a view's camera sees at rest."""
