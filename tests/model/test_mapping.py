@@ -261,6 +261,17 @@ def test_what_is_still_being_drawn_does_not_outlive_what_is_drawn_anew(monkeypat
     assert anew[0].rgb.max() == 0 == later[0].rgb.max()
 
 
+def test_a_camera_that_leaves_before_it_is_drawn_anew_is_not_drawn() -> None:
+    store, backgrounds = half_a_table(0)
+    backgrounds.of(store, CAMERAS)
+    backgrounds.repaint()
+    backgrounds.renew()
+    backgrounds.of(store, CAMERAS[:1])
+    while backgrounds.are_behind:
+        list(backgrounds.keep_up(store))
+    assert [one.camera.name for one in backgrounds.of(store, CAMERAS[:1])] == [CAMERAS[0].name]
+
+
 def half_a_table(arm: int) -> tuple[Gaussians, Backgrounds]:
     """The table without the part beyond x = 0.3 m, and `arm` Gaussians of an arm out of sight; with room for twice."""
     whole = table()
