@@ -13,6 +13,7 @@ from twin_node.model import BirthParameters, ModelParameters, SeedParameters, Wi
 from twin_node.model.population import MOVING_JUDGED_S, Population
 from twin_node.model.quality import moving_pixels, psnr, squared_error
 from twin_node.model.slack import AT_EASE
+from twin_node.model.tracker import BRAKE
 from twin_node.model.upkeep import Seen, Upkeep
 from twin_node.scene import FrameSet, Tier
 
@@ -127,3 +128,13 @@ def test_what_waits_while_no_images_come_is_found_where_it_was(following: Window
     carried = [cloud.means[cloud.tiers == Tier.RIGID] for cloud in (before, after)]
     assert len(carried[1]) >= len(carried[0]) > 20
     assert abs(carried[1].mean(0) - carried[0].mean(0)).max() < 0.02
+
+
+def test_a_rate_that_was_braked_is_whole_again_after_sets_that_went_well(following: WindowModel) -> None:
+    model = copy.deepcopy(following)
+    assert model._begun is not None
+    tracker = model._begun.tracker
+    tracker._pace = BRAKE
+    for one in sliding(40, CAMERAS, depth=True)[12:]:
+        model.update(one)
+    assert tracker._pace == 1
