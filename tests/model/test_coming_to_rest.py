@@ -15,9 +15,12 @@ from twin_node.model.backgrounds import Backgrounds
 from twin_node.model.decisions import ChangedView, Kind, LogEvidence
 from twin_node.model.gaussians import QUAT, Gaussians
 from twin_node.model.long_rest import STANDS_NS
+from twin_node.model.mapping import LACKING
 from twin_node.model.nodes import Nodes
 from twin_node.model.observation import Observed
+from twin_node.model.parameters import MapParameters
 from twin_node.model.rendering import Rendering
+from twin_node.model.rest import MOST_FILLS, Rest
 from twin_node.model.resting import RESTS, Resting
 from twin_node.model.sweep import shell_around
 from twin_node.scene import Float64, Tier
@@ -76,6 +79,20 @@ def test_what_stood_through_a_pause_and_goes_on_is_no_furniture_and_as_fast_as_b
         if index == 19:
             assert state.nodes.velocities[:, 0].max() == pytest.approx(BLOCK_SPEED, abs=0.3 * BLOCK_SPEED)
     assert not settled
+
+
+def test_a_place_that_has_had_its_new_gaussians_may_have_more_once_it_changes_again() -> None:
+    one, block = observe(table(), None)[0], (np.array([40]), np.array([60]))
+    rest, stamp, lacks = Rest(one), one.view.stamp, []
+    for by in (0.3, -0.3):
+        changed = replace(one, rgb=np.clip(one.rgb + np.float32(by), 0, 1))
+        for _ in range(MOST_FILLS + 1):
+            for _ in range(8):
+                stamp += SECOND_NS // 10
+                rest.see(replace(changed, view=replace(one.view, stamp=stamp)), MapParameters())
+            lacks.append(bool(rest.lacking[block][0] > LACKING))
+            rest.fill(*block)
+    assert lacks == 2 * [*MOST_FILLS * [True], False]
 
 
 def test_all_that_a_node_carries_stands_once_it_settles_and_the_node_is_free_again() -> None:
