@@ -261,6 +261,19 @@ def test_cameras_are_looked_at_all_at_once_and_then_one_after_the_other(monkeypa
     assert looked == [*names, *names[1:], names[0]]
 
 
+def test_a_camera_that_is_in_every_second_set_is_looked_at_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose place in the set the count of sets gave was always another: what it alone saw to stand was no obstacle."""
+    looked: list[str] = []
+    monkeypatch.setattr(static, "mark", lambda grid, marked, view, where: looked.append(view.camera.name))
+    carver, space = Carver(RigTables(GRID)), StaticSpace(GRID, StaticParameters(period_ns=0))
+    for number in range(9):
+        state = state_of(number * 33_000_000, None, cameras=RIG[: 2 - number % 2], with_depth=True)
+        carver.carve(state, 0.0)
+        space.update(state, carver)
+    often, seldom = (camera.name for camera in RIG[:2])
+    assert looked == [often, seldom, *[often, seldom] * 4]
+
+
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("cameras", [2, 4])
 def test_what_stands_is_found_where_depth_comes_with_every_other_set(cameras: int, first: int) -> None:

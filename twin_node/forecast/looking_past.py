@@ -18,6 +18,7 @@ from twin_node.forecast.backdrops import STEP_SHARE, stands_out
 from twin_node.forecast.sights import Look
 from twin_node.forecast.unprojection import points_at
 from twin_node.scene import Bool, Float32, Float64, Grid, UInt8
+from twin_node.turns import Turns
 
 CLEAR_M = 0.06
 """A point is seen past where so much about it is, m: rigs, clocks and edges err by less."""
@@ -47,7 +48,7 @@ class LookingPast:
         self._grid = grid
         self._caught: dict[str, NDArray[np.int64]] = {}
         """Per camera, [H, W] when each pixel last did, ns."""
-        self._turn = 0
+        self._turns = Turns()
         self._looked_at: int | None = None
         self.warnings: tuple[str, ...] = ()
         """What a reader must know as of the last state: one line per camera of which more than rims of things do so."""
@@ -71,8 +72,8 @@ class LookingPast:
                 self._catch(whole, 1, stamp)
         if self._looked_at is None or (stamp - self._looked_at) * len(sights) >= PERIOD_NS:
             self._looked_at = stamp
-            self._turn = (self._turn + 1) % len(sights)
-            look = sights[self._turn].look
+            look = sights[self._turns.whose([sight.look.view.camera.name for sight in sights])].look
+            self._turns.take([look.view.camera.name])
             for found in self._seen_past([_Measured(look, _measured(look, moving=False))], PATCH, sights):
                 self._catch(found, PATCH, stamp)
 

@@ -20,6 +20,7 @@ from twin_node.forecast.verdicts import Carved
 from twin_node.native_library import addresses_of
 from twin_node.ranges import NOT_NEGATIVE, SHARE, check_ranges
 from twin_node.scene import Bool, Grid, OccupancyLayer, Tier, TwinState, View
+from twin_node.turns import Turns
 
 GUESSED_M = 0.13
 """How far behind a Gaussian what it stands for may lie where no camera measures, m: places are guesses there."""
@@ -62,7 +63,7 @@ class StaticSpace:
         self._measuring: set[str] = set()
         """Names of the cameras that have sent depth."""
         self._made_at: int | None = None
-        self._turn = 0
+        self._turns = Turns()
 
     def update(
         self, state: TwinState, carver: Carver, own: Bits | None = None, carved: Carved | None = None
@@ -72,16 +73,16 @@ class StaticSpace:
         `own`: the arm's own space; None where there is no arm, or nobody tells where it is: once somebody does, what
         was taken to stand in its place is no longer, nor what was close about it unless it is measured again.
         """
-        count = len(state.frames.views)
+        names = [view.camera.name for view in state.frames.views]
         if own is not None and self._doubtful is not None:
             self._surfaces[self._around(own).mask() & self._doubtful] = False
             self._doubtful, self._made_at = None, None
         self._measuring.update(view.camera.name for view in state.frames.views if view.depth is not None)
         is_due = self._is_due(state)
         if is_due:
-            chosen = range(count) if self._made_at is None else (self._turn % max(count, 1),)
+            chosen = range(len(names)) if self._made_at is None or not names else (self._turns.whose(names),)
             self._made_at = state.stamp
-            self._turn += 1
+            self._turns.take([names[number] for number in chosen])
             self._remember_surfaces(state, carver, chosen, own is not None)
             filled = self._gaussian_voxels(state)
             measures = any(view.depth is not None for view in state.frames.views) or self._surfaces.any()
@@ -106,10 +107,11 @@ class StaticSpace:
         """
         if self._made_at is None:
             return True
-        views = state.frames.views
-        waiting = views[self._turn % max(len(views), 1) :][:1]
-        is_lost = any(view.depth is None and view.camera.name in self._measuring for view in waiting)
-        return (state.stamp - self._made_at) * len(views) >= self.parameters.period_ns * (2 if is_lost else 1)
+        views, wait = state.frames.views, self.parameters.period_ns
+        if views:
+            first = views[self._turns.whose([view.camera.name for view in views])]
+            wait *= 2 if first.depth is None and first.camera.name in self._measuring else 1
+        return (state.stamp - self._made_at) * len(views) >= wait
 
     def _leave(self, state: TwinState, carver: Carver, carved: Carved) -> None:
         """Takes out the surfaces of what has moved and is seen to be gone.

@@ -31,6 +31,7 @@ from twin_node.model.rest import Rest
 from twin_node.scene import Bool, Camera, Float32, Float64, Tier
 from twin_node.side_thread import SideThread
 from twin_node.splat.library import stay_alone
+from twin_node.turns import Turns
 
 LACKING = 0.1
 """Difference (0 to 1) between background and image at rest that is too much after steps: what counts as change."""
@@ -88,28 +89,20 @@ class Mapper:
         self._rests: dict[str, Rest] = {}
         self._pruner = Pruner(gaussians, backgrounds, most_static)
         self._side_thread = SideThread(stay_alone)
-        self._turn = 0
-        self._looked: dict[str, int] = {}
-        """In which turn each camera, by its name, has been looked through last."""
+        self._turns = Turns()
 
     def refine(self, observed: Sequence[Observed], stamp: int, steps: int) -> Generator[None]:
         """Takes up to `steps`, 1 or more, by what the set at `stamp` (ns) shows, slice by slice; see `stages.Sliced`.
 
         From each slice to the next another thread looks at what a step misses, which then is taken.
         """
-        self._turn += 1
         views = [_Wanting(one.background, self._rest_of(one)) for one in observed]
-        index = self._longest_waiting([view.camera.name for view in views])
-        self._looked[views[index].camera.name] = self._turn
+        index = self._turns.whose([view.camera.name for view in views])
+        self._turns.take([views[index].camera.name])
         views[index].rest.see(observed[index], self._parameters)
         self._fill(views, index, stamp)
         yield from self._learn(views, steps)
         self._pruner.watch([view.camera for view in views])
-
-    def _longest_waiting(self, names: Sequence[str]) -> int:
-        """Which of the cameras of a set it is the turn of: of some that are in every second set only, too."""
-        waiting = [(self._looked.get(name, 0), (at - self._turn) % len(names)) for at, name in enumerate(names)]
-        return waiting.index(min(waiting))
 
     def _rest_of(self, one: Observed) -> Rest:
         """What a view's camera sees at rest."""
