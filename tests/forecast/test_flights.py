@@ -143,7 +143,7 @@ def test_what_creeps_is_measured_step_by_step(speed: float) -> None:
 def falling(centers: Float64, velocity: Float64, above: Float64) -> Whole:
     count = len(centers)
     yes = np.ones(count, np.bool_)
-    return Whole(np.tile(velocity, (count, 1)), np.full(count, 0.1), yes, yes, above)
+    return Whole(np.tile(velocity, (count, 1)), np.full(count, 0.1), yes, yes, ~yes, above)
 
 
 def table_at(height: int, side: int = 0) -> Bits:
@@ -203,3 +203,43 @@ def test_what_has_strayed_once_is_asked_to_show_that_it_falls() -> None:
     assert not courses[2].is_flight
     assert courses[-1].is_flight
     assert course_of(thrown[:3]).is_flight
+
+
+def rested(places: Float64, period: float = PERIOD) -> list[bool]:
+    """Whether a course is known to have rested, set by set."""
+    course, told = Course.begun(0.0, places[0], SIGMA), []
+    for number, place in enumerate(places[1:], start=1):
+        course = course.followed(number * period, place, SIGMA)
+        told.append(course.has_rested)
+    return told
+
+
+def still(count: int, seed: int = 0) -> Float64:
+    return path(count, np.zeros(3), np.zeros(3), seed=seed)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 1.2])
+def test_what_rides_on_a_belt_never_rests(speed: float) -> None:
+    assert not any(rested(path(90, np.array([speed, 0.0, 0.0]), np.zeros(3))))
+
+
+def test_what_flies_does_not_rest_at_its_highest() -> None:
+    up = path(30, np.array([0.0, 0.0, 4.0]), GRAVITY)
+    assert not any(rested(up))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("period", [1 / 30, 1 / 12])
+def test_what_keeps_still_rests_after_four_tenths_of_a_second(seed: int, period: float) -> None:
+    told = rested(still(40, seed), period)
+    assert not any(told[: round(0.4 / period) - 1]) and all(told[round(0.6 / period) :])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hand_that_has_reached_out_and_rested_is_one_that_may_start(seed: int) -> None:
+    """0.4 m within 0.8 s, as hands do (Flash and Hogan 1985): taken for a thing, it had no room to start again."""
+    shares = np.clip(PERIOD * np.arange(54) / 0.8, 0, 1)[:, None]
+    reach = 0.4 * (10 * shares**3 - 15 * shares**4 + 6 * shares**5) * np.array([1.0, 0.0, 0.0])
+    there_and_back = np.concatenate([reach, reach[::-1]]) + still(108, seed)
+    told = rested(there_and_back)
+    assert not any(told[:24]) and all(told[48:])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from forecast_worlds import GRID, ball_voxels, state_of
@@ -102,6 +104,24 @@ def test_what_is_thrown_is_expected_to_fall() -> None:
     assert np.isin(there, occupancy.layers[-1].indices).all()
     reached = np.linalg.norm(GRID.centers(np.arange(GRID.size)) - place(stamp), axis=1) < 0.09 + 0.233 * 2.5
     assert len(occupancy.layers[-1].indices) < 0.8 * np.count_nonzero(reached)
+
+
+@pytest.mark.parametrize("stands", [False, True])
+@pytest.mark.parametrize("rests", [True, False])
+def test_what_has_come_to_rest_by_itself_may_be_a_hand_and_start_again(rests: bool, stands: bool) -> None:
+    """Of a hand whose arm was hidden or stood all along each rest was taken for that of a thing: it had 5 cm, and none
+    once its masks had gone and it stood."""
+    forecaster, period_ns = Forecaster(GRID), 33_000_000
+    for number in range(45 + 30 * stands):
+        middle = np.array([-0.25 + 0.012 * min(number, 15 if rests else 44), 0.0, 0.5])
+        state = state_of(number * period_ns, middle, radius=0.17, with_depth=True)
+        if number >= 45:
+            state = replace(state, moving_masks=tuple(np.zeros_like(mask) for mask in state.moving_masks))
+        occupancy = forecaster.update(state, state.stamp + period_ns).occupancy
+    ahead = middle + (0.0 if rests or stands else 0.012 * 233 / 33) * np.array([1.0, 0.0, 0.0])
+    started = ball_voxels(ahead, 0.17 + 0.9 * (0.233 - 0.045))
+    held = np.isin(started, occupancy.layers[-1].indices).mean()
+    assert held > 0.9 if rests else held < 0.7
 
 
 @pytest.mark.parametrize("later_ns", [0, 1])

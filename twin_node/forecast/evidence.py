@@ -141,7 +141,7 @@ class Observer:
         behind = self._look_behind(state.stamp, hiding, someone, stands)
         motion, whole = self._velocities.update(state, parts, self._expected(state.stamp, parts.centers))
         self._last_stamp, self._last_centers, self._last = state.stamp, parts.centers, motion
-        limbs = parts.likely & ~whole.followed[parts.labels]
+        limbs = parts.likely & ~whole.alone[parts.labels]
         return Evidence(
             stamp=state.stamp,
             parts=replace(parts, places=self.margin.places(parts.places)),

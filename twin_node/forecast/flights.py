@@ -25,6 +25,9 @@ _PLACES, _SURE = 3, 0.4
 """Fewest places that show a flight, and how well they must tell its velocity, m/s: what does not lie on one course
 begins a new one, but the middle of what changes its shape may lie anywhere."""
 _WEIGHTLESS = np.zeros(3)
+_WATCHED_S, _STILL_S, _STILL_SPEED = 0.5, 0.4, 0.06
+"""Span over which a thing is asked whether it keeps still, s, for how long it must have been followed, and how slow
+that is, m/s: slower than a belt, and faster than the middle of what keeps still is found to go."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,9 @@ class _Way:
         """With one place [3] (m) at a time (s)."""
         return cls(np.array([[time, *middle.tolist(), sigma]]))
 
-    def longer(self, time: float, middle: Float64, sigma: float) -> _Way:
-        """With one more, and without those that are too old for a course."""
-        kept = int(self.times.searchsorted(time - _KEPT_S, "right"))
+    def longer(self, time: float, middle: Float64, sigma: float, kept_s: float = _KEPT_S) -> _Way:
+        """With one more, and without those that are older than `kept_s`: too old for a course."""
+        kept = int(self.times.searchsorted(time - kept_s, "right"))
         return _Way(np.concatenate([self.rows[kept:], [[time, *middle.tolist(), sigma]]]))
 
     @property
@@ -102,6 +105,10 @@ class _Way:
         return {True: line(GRAVITY), False: line(_WEIGHTLESS)}
 
 
+def _rests(way: _Way) -> bool:
+    return bool(way.times[-1] - way.times[0] > _STILL_S) and _length(way.lines[False].velocity) < _STILL_SPEED
+
+
 @dataclass(frozen=True)
 class Course:
     """Where a thing was, set by set, since it was first seen or last hit something; n sets."""
@@ -116,6 +123,10 @@ class Course:
     """Whether its way shows that it falls freely, or did before it hit something; None: that cannot be told."""
     strayed: bool = False
     """Whether it began where another course did not lead, of what was not known to fall: a thing that was swung."""
+    watched: _Way | None = None
+    """Its places of the last `_WATCHED_S`, whatever courses they were of."""
+    has_rested: bool = False
+    """Whether it has kept still since it was first seen: a hand may start again, of what rides or flies none does."""
 
     @classmethod
     def begun(cls, time: float, middle: Float64, sigma: float) -> Course:
@@ -141,6 +152,11 @@ class Course:
 
     def followed(self, time: float, middle: Float64, sigma: float) -> Course:
         """The course with the thing's place [3] (m) at a later time (s); begun anew if it does not lead there."""
+        watched = (self.watched or self.way).longer(time, middle, sigma, _WATCHED_S)
+        course = self._gone_on(time, middle, sigma)
+        return replace(course, watched=watched, has_rested=self.has_rested or (not course.flies and _rests(watched)))
+
+    def _gone_on(self, time: float, middle: Float64, sigma: float) -> Course:
         elapsed = time - self.way.times[-1]
         step, astray = (middle - self.way.middles[-1]) / elapsed, math.sqrt(2) * sigma / elapsed
         is_slow, falls = not self.falls and _length(step) < _SLOW, self.falls

@@ -37,6 +37,8 @@ class Whole:
     """[M] parts of what falls freely, or goes faster than people do."""
     falling: Bool
     """[M] parts of what flies by more than its last step, and was not seen to go straight."""
+    rested: Bool
+    """[M] parts of what has kept still since it was first followed (`Course.has_rested`)."""
     above: Float64
     """[M] m, by which the middle of each part is above the lowest of its thing; 0 where nothing was followed."""
 
@@ -44,7 +46,7 @@ class Whole:
     def none(cls, count: int) -> Whole:
         """Of `count` parts of nothing that was followed."""
         no = np.zeros(count, np.bool_)
-        return cls(np.zeros((count, 3)), np.full(count, np.inf), no, no.copy(), np.zeros(count))
+        return cls(np.zeros((count, 3)), np.full(count, np.inf), no, no.copy(), no.copy(), np.zeros(count))
 
     @property
     def trusts(self) -> Float64:
@@ -57,6 +59,12 @@ class Whole:
         """[M] parts of what was followed as a whole."""
         followed: Bool = np.isfinite(self.sigmas)
         return followed
+
+    @property
+    def alone(self) -> Bool:
+        """[M] parts of what was followed as a whole and has never rested: no limbs."""
+        alone: Bool = self.followed & ~self.rested
+        return alone
 
 
 class Things:
@@ -89,6 +97,7 @@ class Things:
             now.courses[mine], now.velocities[mine], chosen = course, course.velocity, labels == mine
             whole.velocities[chosen], whole.sigmas[chosen] = course.velocity, course.velocity_sigma
             whole.flying[chosen], whole.falling[chosen] = course.flies, course.is_flight
+            whole.rested[chosen] = course.has_rested
             whole.above[chosen] = parts.centers[chosen, 2] - now.lowest[mine]
         return whole
 
