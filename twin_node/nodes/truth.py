@@ -8,6 +8,7 @@ from twin_node.bag import LogReader
 from twin_node.forecast.comparison import Truth
 from twin_node.forecast.score import litres_per_voxel
 from twin_node.messages import convert
+from twin_node.nodes.contents import record_of
 from twin_node.nodes.topics import TRUTH_OCCUPANCY
 from twin_node.scene import Bool, Float64, Grid, Occupancy, TwinState, UInt32, View
 
@@ -67,7 +68,7 @@ class _Sampled(Truth):
 
 
 class VoxelTruth(_Sampled):
-    """Exact moving voxels that a log carries."""
+    """Exact moving voxels that a log carries. Raises `GraphError` naming the place where one of them is damaged."""
 
     source = TRUTH_OCCUPANCY
     reach_ns = STALE_NS
@@ -75,7 +76,7 @@ class VoxelTruth(_Sampled):
     def __init__(self, log: LogReader) -> None:
         super().__init__()
         for message in log.messages([TRUTH_OCCUPANCY]):
-            self.remember(convert.occupancy_from_message(message.message))
+            self.remember(record_of(message, log, convert.occupancy_from_message))
 
     def occupied(self, stamp: int) -> Float64 | None:
         """The same: all that moves."""
