@@ -57,6 +57,24 @@ class Process:
         self._on_news()
 
 
+class Looked(Process):
+    """Is told, by `look`, each time that the launcher asks whether it has ended."""
+
+    ended: int | None = None
+
+    def look(self) -> None:
+        """For tests."""
+
+    @property
+    def status(self) -> int | None:
+        self.look()
+        return self.ended
+
+    @status.setter
+    def status(self, value: int | None) -> None:
+        self.ended = value
+
+
 @pytest.fixture
 def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Launcher]:
     """`begin(kind, say, processes)`: a launcher of a launch file's processes, which are of a kind."""
@@ -203,7 +221,7 @@ def test_a_process_that_hangs_is_started_again(
     begun: list[Process] = []
     now = [0.0]
 
-    class Watched(Process):
+    class Watched(Looked):
         """Has news until the launcher has looked often enough."""
 
         looks = 0
@@ -211,20 +229,14 @@ def test_a_process_that_hangs_is_started_again(
         def has_begun(self) -> None:
             begun.append(self)
 
-        @property
-        def status(self) -> int | None:
-            if self.is_active and not self.is_ended:
+        def look(self) -> None:
+            if self.is_active and self.ended is None:
                 self.looks += 1
                 now[0] += 3600.0 if "launcher" in stopped or stopped == "both" else STEP_S
                 self.has_pulsed = stopped == "the launcher" or self is not begun[0]
                 if self.looks > 3 * HANGS_S / STEP_S or len(begun) > 1:
                     launcher.interrupt()
                 self._on_news()
-            return -signal.SIGKILL if self.is_ended else None
-
-        @status.setter
-        def status(self, value: int | None) -> None:
-            self.is_ended = value is not None
 
     monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     said: list[str] = []
@@ -243,25 +255,19 @@ def test_a_process_that_never_gets_ready_is_started_again(
     begun: list[Process] = []
     now = [0.0]
 
-    class Slow(Process):
+    class Slow(Looked):
         def has_begun(self) -> None:
             begun.append(self)
 
         def configure(self) -> None:
             """It takes its time, but for the second."""
 
-        @property
-        def status(self) -> int | None:
+        def look(self) -> None:
             now[0] += STEP_S
             self.is_configured = now[0] > takes_s or self is not begun[0]
             if self.is_active:
                 launcher.interrupt()
             self._on_news()
-            return self.ended
-
-        @status.setter
-        def status(self, value: int | None) -> None:
-            self.ended = value
 
     monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     said: list[str] = []
@@ -278,24 +284,18 @@ def test_a_spare_that_never_loads_is_ended(
     begun: list[Process] = []
     now = [0.0]
 
-    class Loading(Process):
+    class Loading(Looked):
         def has_begun(self) -> None:
             begun.append(self)
             self.is_loaded = loads or len(begun) == 1
 
-        @property
-        def status(self) -> int | None:
+        def look(self) -> None:
             if self is begun[0]:
                 now[0] += STEP_S
                 self.has_pulsed = True
                 self._on_news()
                 if now[0] > 2 * LOADS_S:
                     launcher.interrupt()
-            return self.ended
-
-        @status.setter
-        def status(self, value: int | None) -> None:
-            self.ended = value
 
     monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     said: list[str] = []
@@ -314,22 +314,17 @@ def test_a_process_that_fails_again_and_again_is_started_at_growing_intervals(
     began_s: list[float] = []
     now = [0.0]
 
-    class Failing(Process):
+    class Failing(Looked):
         def has_begun(self) -> None:
             began_s.append(now[0])
             if len(began_s) > len(waits_s):
                 launcher.interrupt()
 
-        @property
-        def status(self) -> int | None:
+        def look(self) -> None:
             now[0] += 0.25
             self.has_pulsed = True
+            self.ended = None if now[0] < began_s[-1] + lives_s else 1
             self._on_news()
-            return None if now[0] < began_s[-1] + lives_s else 1
-
-        @status.setter
-        def status(self, _: int | None) -> None:
-            """It fails when it is time."""
 
     monkeypatch.setattr(launcher_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     said: list[str] = []
@@ -361,24 +356,18 @@ def test_a_router_that_ends_with_another_command_is_replaced(
     def open_router(_: ZenohParameters) -> Router | None:
         return left.pop(0)
 
-    class Restless(Process):
+    class Restless(Looked):
         """Has news until the launcher has looked for a router often enough."""
 
         def activate(self) -> None:
             self.is_active = True
             self._on_news()
 
-        @property
-        def status(self) -> int | None:
+        def look(self) -> None:
             if left:
                 self._on_news()
             else:
                 launcher.interrupt()
-            return None
-
-        @status.setter
-        def status(self, _: int | None) -> None:
-            """It never ends."""
 
     said: list[str] = []
     launcher = begin(Restless, said.append, "arm: {nodes: [arm]}}, zenoh: {routers: [tcp/10.0.0.2:7447]")

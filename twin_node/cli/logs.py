@@ -91,9 +91,8 @@ def _check(options: argparse.Namespace) -> int:
         _repair(options.log, options.repair)
     with open_log(options.repair or options.log) as log:
         count = sum(topic.count for topic in log.topics)
-        quiet = None if options.images else True
-        progress = partial(tqdm, total=count, unit="message", desc="check", disable=quiet)
-        found = check_log(log, options.images, progress)
+        shown = partial(tqdm, total=count, unit="message", desc="check", disable=None)
+        found = check_log(log, options.images, shown if options.images else iter)
     if options.json:
         print(json_text({"sound": found.is_sound, **dataclasses.asdict(found)}))
     else:

@@ -11,30 +11,45 @@ PATIENCE = 10
 """Images that a camera may begin with and that are all damaged: if more are, its format may not be known."""
 
 
-class DamagedImages:
-    """Counts them, camera by camera."""
+class DamageCount:
+    """Counts damaged images and whole ones, by the name of a camera or a topic."""
 
     def __init__(self) -> None:
-        self._whole: Counter[str] = Counter()
-        self._damaged: Counter[str] = Counter()
+        self.whole: Counter[str] = Counter()
+        self.damaged: Counter[str] = Counter()
         self._last: dict[str, DamagedError] = {}
+
+    def add(self, name: str, error: DamagedError | None) -> None:
+        """Takes note of an image, with what is wrong with it; None: nothing is."""
+        if error is None:
+            self.whole[name] += 1
+            return
+        self.damaged[name] += 1
+        self._last[name] = error
+
+    def told(self, name: str) -> str:
+        """How many were damaged of how many, of a name that has any, and what was wrong with the last."""
+        count = self.damaged[name]
+        return f"{several(count, 'damaged image')} of {count + self.whole[name]}; the last: {self._last[name]}"
+
+
+class DamagedImages:
+    """Those that the sets of a run go without, camera by camera."""
+
+    def __init__(self) -> None:
+        self._count = DamageCount()
 
     def add_whole(self, camera: str) -> None:
         """Takes note of an image that could be used."""
-        self._whole[camera] += 1
+        self._count.add(camera, None)
 
     def add(self, camera: str, error: DamagedError) -> None:
         """Takes note of one that its set goes without. Raises `error` where none of the camera's can be used."""
-        self._damaged[camera] += 1
-        self._last[camera] = error
-        if self._damaged[camera] > PATIENCE and not self._whole[camera]:
+        self._count.add(camera, error)
+        if self._count.damaged[camera] > PATIENCE and not self._count.whole[camera]:
             raise error
 
     @property
     def lines(self) -> tuple[str, ...]:
         """What there is to say, a line for each camera."""
-        return tuple(
-            f"camera {name}: left out {several(count, 'damaged image')} of {count + self._whole[name]}; the last: "
-            f"{self._last[name]}"
-            for name, count in self._damaged.items()
-        )
+        return tuple(f"camera {name}: left out {self._count.told(name)}" for name in self._count.damaged)

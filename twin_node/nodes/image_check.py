@@ -2,59 +2,55 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from twin_node.errors import TwinError, several
+from twin_node.errors import TwinError
 from twin_node.messages import DamagedError, convert
+from twin_node.nodes.damaged_images import DamageCount
 from twin_node.nodes.log_doubts import depth_unit_fault
 from twin_node.nodes.topics import CameraTopics, is_depth
 from twin_node.scene import RigCamera
 
 
-class DamagedPictures:
-    """Those of which a camera or a cable lost a part, topic by topic, among all that are looked at."""
+class EveryImage:
+    """Decodes those that it is handed, and counts the damaged ones topic by topic."""
 
     def __init__(self) -> None:
-        self._looked_at: Counter[str] = Counter()
-        self._damaged: Counter[str] = Counter()
-        self._last: dict[str, DamagedError] = {}
+        self._count = DamageCount()
 
     def look(self, topic: str, content: Any) -> None:
         """Decodes one. What is no image of a kind that is known says nothing of damage."""
-        self._looked_at[topic] += 1
+        decode = convert.depth_from_message if is_depth(topic) else convert.rgb_from_message
         try:
-            (convert.depth_from_message if is_depth(topic) else convert.rgb_from_message)(content)
+            decode(content)
         except DamagedError as error:
-            self._damaged[topic] += 1
-            self._last[topic] = error
+            self._count.add(topic, error)
         except TwinError:
             pass
+        else:
+            self._count.add(topic, None)
 
     def faults(self, topic: str) -> list[str]:
         """What was found of a topic, if anything."""
-        if topic not in self._damaged:
-            return []
-        told = several(self._damaged[topic], "damaged image")
-        return [f"{told} of {self._looked_at[topic]}, left out of their sets; the last: {self._last[topic]}"]
+        return [self._count.told(topic)] if topic in self._count.damaged else []
 
 
 def image_faults(
     cameras: Sequence[CameraTopics],
     contents: Mapping[str, Sequence[Any]],
     known: Mapping[str, RigCamera],
-    damaged: DamagedPictures,
+    every: EveryImage,
 ) -> list[str]:
     """Cameras of whose images one that was looked at cannot be shown, or is of another size than `known` ones.
 
-    `contents`: those images by topic. What is told of the `damaged` ones is not told again.
+    `contents`: those images by topic. Damage that `every` tells is not told again.
     """
     faults = []
     for camera in cameras:
-        is_told = bool(damaged.faults(camera.image))
+        is_told = bool(every.faults(camera.image))
         found = (_image_fault(content, known.get(camera.name), is_told) for content in contents[camera.image])
         fault = next((one for one in found if one is not None), None)
         if fault is not None:
@@ -62,14 +58,14 @@ def image_faults(
     return faults
 
 
-def depth_faults(topic: str, contents: Sequence[Any], damaged: DamagedPictures) -> list[str]:
-    """What speaks against the depth of a topic, those of its images that were looked at; not what `damaged` tells."""
+def depth_faults(topic: str, contents: Sequence[Any], every: EveryImage) -> list[str]:
+    """What speaks against the depth of a topic, of images looked at; not the damage that `every` tells."""
     medians = []
     for content in contents:
         try:
             depth = convert.depth_from_message(content)
         except TwinError as error:
-            if isinstance(error, DamagedError) and damaged.faults(topic):
+            if isinstance(error, DamagedError) and every.faults(topic):
                 continue
             return [str(error)]
         known = depth[depth > 0]

@@ -18,7 +18,7 @@ from twin_node.messages import from_time
 from twin_node.messages.stamps import NS_PER_S
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
-from twin_node.nodes.image_check import DamagedPictures, depth_faults, image_faults
+from twin_node.nodes.image_check import EveryImage, depth_faults, image_faults
 from twin_node.nodes.joint_units import angle_fault, ranges_told
 from twin_node.nodes.log_cameras import cameras_of
 from twin_node.nodes.log_doubts import base_doubts, joint_doubts, rig_doubts
@@ -121,12 +121,12 @@ def check_log(
     every = {topic.name: max(1, topic.count // SAMPLES) for topic in log.topics}
     unreadable: dict[str, str] = {}
     ranges = ranges_told(log)
-    damaged = DamagedPictures()
+    images = EveryImage()
     for message in progress(log.messages()):
         try:
             _look_at(message, seen[message.topic], every[message.topic])
             if every_image and message.msgtype in IMAGE_TYPES:
-                damaged.look(message.topic, message.message)
+                images.look(message.topic, message.message)
         except TwinError as error:
             unreadable.setdefault(message.topic, str(error))
     checks = []
@@ -141,8 +141,8 @@ def check_log(
             times = [] if found.uncarried else _time_faults(stream, is_regular, log.start_ns)
             in_all = [*times, *filter(None, [unit])]
             faults += [f"{whose}{fault}" for fault in in_all]
-        faults += [*_stamp_faults(found), *damaged.faults(topic.name)]
-        faults += _unit_faults(topic.name, topic.msgtype, found, damaged)
+        faults += [*_stamp_faults(found), *images.faults(topic.name)]
+        faults += _unit_faults(topic.name, topic.msgtype, found, images)
         faults += _calibration_faults(found, log.start_ns)
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
@@ -153,7 +153,7 @@ def check_log(
     except GraphError as error:
         whole.append(str(error))
     else:
-        whole += [*_camera_faults(log, topics, seen, damaged), *moved_frames(log, topics.original(TF_STATIC))]
+        whole += [*_camera_faults(log, topics, seen, images), *moved_frames(log, topics.original(TF_STATIC))]
     return LogCheck(tuple(checks), tuple(whole))
 
 
@@ -225,16 +225,16 @@ def _calibration_faults(seen: _Seen, start: int) -> list[str]:
     ]
 
 
-def _unit_faults(topic: str, msgtype: str, seen: _Seen, damaged: DamagedPictures) -> list[str]:
+def _unit_faults(topic: str, msgtype: str, seen: _Seen, images: EveryImage) -> list[str]:
     """What speaks against the units of a topic's messages."""
     if msgtype == JOINT_STATE and seen.wild:
         return [f"{several(seen.wild, 'message')} with positions that are not finite"]
     if msgtype in IMAGE_TYPES and is_depth(topic):
-        return depth_faults(topic, seen.contents, damaged)
+        return depth_faults(topic, seen.contents, images)
     return []
 
 
-def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen], damaged: DamagedPictures) -> list[str]:
+def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen], images: EveryImage) -> list[str]:
     if not has_images(names.spoken) and any(topic in RECORDED for topic in names.spoken):
         return []  # what a twin has said; the images that it was made from are in another log
     try:
@@ -252,14 +252,14 @@ def _camera_faults(log: LogReader, names: Renamed, seen: Mapping[str, _Seen], da
     try:
         found = rig_for(log, cameras, None, names.original(TF_STATIC))
     except TwinError as error:
-        of_images = image_faults(cameras, contents, {}, damaged)
+        of_images = image_faults(cameras, contents, {}, images)
         return [*of_images, *_skew_faults(_timed(cameras, seen), stamps), *faults, str(error)]
     known = {camera.name: camera for camera in found.rig.cameras}
     cameras = [camera for camera in cameras if camera.name in known]
     timed = _timed(cameras, seen)
     by_rig = {c.image: [known[c.name].rig_time(stamp) for stamp in stamps[c.image]] for c in timed}
     faults = [
-        *image_faults(cameras, contents, known, damaged),
+        *image_faults(cameras, contents, known, images),
         *_rate_faults(timed, by_rig),
         *_skew_faults(timed, by_rig),
         *_depth_skews(timed, seen),

@@ -216,9 +216,7 @@ class Launcher:
         passed, self._looked = min(now - self._looked, 2 * STEP_S), now
         if self._plan.is_lockstep:
             return
-        loading = [
-            spare for spare in self._spares.values() if not spare.is_loaded
-        ]  # of one that waits nothing is heard
+        loading = [spare for spare in self._spares.values() if not spare.is_loaded]  # others only wait, in silence
         for child in (*self._children.values(), *loading):
             child.silence_s = 0.0 if child.has_pulsed else child.silence_s + passed
             child.has_pulsed = False
