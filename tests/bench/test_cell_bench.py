@@ -15,6 +15,7 @@ from twin_node.bench import cell, cell_scores
 from twin_node.bench.cell_case import PERFECT, CellCase
 from twin_node.bench.cell_picture import draw
 from twin_node.bench.cell_scores import score
+from twin_node.bench.cell_twin import Pace, TwinRun, TwinTiming
 from twin_node.bench.errors import BenchError
 from twin_node.bench.rig_speed import measure
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord
@@ -81,6 +82,22 @@ def held(case: CellCase, phase_ns: float, share: float) -> LoopRecord:
     phases = phase_ns + share * STEP_NS * rows
     stamps = case.scenario.start_ns + STEP_NS * rows
     return LoopRecord(stamps, phases, np.full(steps, share), np.full(steps, share), ())
+
+
+def test_both_runs_with_the_twins_eyes_assume_the_same_latency(
+    short: FilePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assumed = []
+
+    def run_twin(case: CellCase, width: int, pace: Pace | None, by_sight: bool = False) -> TwinRun:
+        assumed.append((by_sight, case.timing.latency_ns))
+        return TwinRun(case.run(PERFECT), TwinTiming(3, 0, np.array([85.0, 95.0, 95.0])), first_seen_s=0.0)
+
+    monkeypatch.setattr("twin_node.bench.cell_twin.run_twin", run_twin)
+    names = (str(short),)
+    parameters = cell.CellBenchParameters(names, latency_ms=85.0, twin=True, same_eyes=True, twin_latency_ms=85.0)
+    cell.run_case(cell.Job(str(short), 1, parameters))
+    assert assumed == [(False, 85_000_000), (True, 85_000_000)]
 
 
 def test_contacts_count_where_the_arm_moves(short: FilePath) -> None:

@@ -118,19 +118,20 @@ def run_case(job: Job) -> CaseResult:
     parameters = job.parameters
     whole = _unobstructed_s(job.scenario, parameters)
     scenario = load_scenario(job.scenario).with_seed(job.seed)
-    case, timing = CellCase(scenario, parameters.latency_ms, parameters.loop), None
+    assumed = case = CellCase(scenario, parameters.latency_ms, parameters.loop)
+    timing: TwinTiming | None = None
     twins: dict[str, Outcome] = {}
     if parameters.twin:
         from twin_node.bench.cell_twin import Pace, run_twin  # imports torch, which takes as long as a run without it
 
         latency_ms = parameters.twin_latency_ms
         pace = None if latency_ms is None else Pace.of(latency_ms, parameters.twin_rate_hz)
-        twin = run_twin(case, TWIN_WIDTH, pace)
+        twin = run_twin(assumed, TWIN_WIDTH, pace)
         timing = twin.timing
         case = CellCase(scenario, timing.usual_ms, parameters.loop)
         twins[OURS] = score(case, twin.record, twin.first_seen_s, with_delays=True)
         if parameters.same_eyes:
-            seen = run_twin(case, TWIN_WIDTH, pace, by_sight=True)
+            seen = run_twin(assumed, TWIN_WIDTH, pace, by_sight=True)
             twins[BY_SIGHT] = score(case, seen.record, seen.first_seen_s)
     perfect = {
         policy.name: score(case, case.run(policy), with_delays=policy is PERFECT and not twins) for policy in POLICIES
