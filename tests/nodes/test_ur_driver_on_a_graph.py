@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -75,6 +76,25 @@ class Twin(threading.Thread):
                     ear.step(0.02)
         finally:
             os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_enter_is_answered(graph: ZenohParameters, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing was said to somebody who pressed it while no arm was reached."""
+    said = []
+
+    def say(line: str, flush: bool) -> None:
+        said.append(line)
+        if line.startswith("acknowledge: "):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("twin_node.cli.ur_driver.print", say, raising=False)
+    keyboard, terminal = os.openpty()
+    with os.fdopen(terminal) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        os.write(keyboard, b"\n")
+        assert main(["ur-driver", "--robot", free_loopback(), "--duration", str(PATIENCE_S)]) == 0
+    os.close(keyboard)
+    assert said[-1].startswith("acknowledge: no halt waits for somebody; ")
 
 
 def test_the_command_obeys_the_graph_and_tells_it_of_the_arm(graph: ZenohParameters) -> None:

@@ -300,8 +300,6 @@ def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
     """
     from twin_node.arm.errors import ArmError
     from twin_node.arm.ur import DriverState
-    from twin_node.messages.types import message_type
-    from twin_node.nodes.topics import ACKNOWLEDGE
 
     news, was_connected = _News(), False
     while pace.step(node.report.state is DriverState.READY):
@@ -316,5 +314,5 @@ def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
                 raise ArmError(report.reason)
             return str(report.reason)
         if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.readline():
-            node.bus.publish(ACKNOWLEDGE, message_type("std_msgs/msg/Empty")())
+            node.acknowledge(lambda _, words: print(f"acknowledge: {words}", flush=True))
     return None
