@@ -213,6 +213,8 @@ class UrDriverNode(Node):
                 asked.tell(True, f"acknowledged what had {asked.before}; now {_in_words(report)}")
             elif report.state is DriverState.LOST:
                 asked.tell(False, f"was {asked.before}; now {_in_words(report)}; acknowledge when it is reached again")
+            elif report.state is DriverState.CONNECTING:  # its script begins, which may take seconds
+                self._asked.append(replace(asked, until=passed + _PATIENCE_NS))
             elif (refusal is not None and not refusal.startswith(_OF_PATHS)) or passed >= asked.until:
                 asked.tell(False, f"still {_in_words(report)}; {refusal or 'what halts it is not over'}")
             else:
