@@ -129,7 +129,8 @@ def test_somebody_seen_in_the_future_is_no_farther_than_somebody_seen_now(
     ur5e_checker: ArmCollisionChecker, early_ms: int
 ) -> None:
     """The clocks differ: what they told counted as younger than it was, and the arm kept up to 0.3 m less."""
-    things = [beside_the_tool(ur5e_checker, 0.4, valid_ms=times) for times in ((0, 0), (20, 70))]
+    layers = ((0.4, (0, 0)), (0.4, (20, 70)), (0.25, (70, 120)))
+    things = [beside_the_tool(ur5e_checker, left_m, valid_ms=times) for left_m, times in layers]
     ur5e_checker.update(obstacles(*things))
     expected = decide(ur5e_checker, ahead(TURNING), NOW, REACTION_S)
     later = [replace(thing, valid_ms=tuple(ms + early_ms for ms in thing.valid_ms)) for thing in things]
