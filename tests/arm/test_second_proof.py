@@ -118,6 +118,15 @@ def wild_forecast(checker: ArmCollisionChecker, *valid_ms: int) -> Thing:
     return beside_the_tool(checker, -0.1, size=(0.6,) * 3, valid_ms=valid_ms)
 
 
+def test_who_gets_nowhere_by_the_forecast_does_not_hold_an_arm_that_leaves(ur5e_checker: ArmCollisionChecker) -> None:
+    wild = wild_forecast(ur5e_checker, -50, 400)
+    shares = []
+    for reach_m_s in (1.6, 0.1):
+        seen = beside_the_tool(ur5e_checker, 0.12, valid_ms=SEEN, reach=(reach_m_s, 0.0))
+        shares.append(decided_since(ur5e_checker, wild, seen, velocity=-TURNING).speed_fraction)
+    assert shares == [0.0, 1.0]
+
+
 def test_what_was_seen_gets_no_farther_than_its_forecast_says(ur5e_checker: ArmCollisionChecker) -> None:
     wild = wild_forecast(ur5e_checker, -50, 400)
     seen = beside_the_tool(ur5e_checker, 0.47, valid_ms=SEEN)
