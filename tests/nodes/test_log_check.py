@@ -17,7 +17,7 @@ from twin_logs import write_twin_log
 from twin_node.bag import LogMessage, LogWriter, open_log
 from twin_node.bag.rig import write_rig
 from twin_node.cli import main
-from twin_node.messages import convert, message_type
+from twin_node.messages import Message, convert, message_type
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_check import LogCheck, check_log
 from twin_node.nodes.log_source import LogSession
@@ -47,7 +47,7 @@ def write_log(path: Path, rig: Rig, sets: int = 40, joints_per_set: int = 0, apa
                 log.write("/joint_states", joints(stamp, np.zeros(1)), stamp)
 
 
-def joints(stamp: int, positions: np.ndarray, name: str = "elbow") -> object:
+def joints(stamp: int, positions: np.ndarray, name: str = "elbow") -> Message:
     return convert.joint_sample_to_message(JointSample(stamp, (name,), positions, np.zeros(1)))
 
 
@@ -217,6 +217,23 @@ def test_joints_that_are_not_finite_are_found_wherever_they_are(tmp_path: Path, 
             log.write("/joint_states", joints(START + k * PERIOD, positions), START + k * PERIOD)
     (topic,) = checked(path).topics
     assert topic.faults == ("1 message with positions that are not finite",)
+
+
+def test_joints_that_end_a_replay_are_found(tmp_path: Path) -> None:
+    """A log with them was called sound."""
+    for wrong in ("uneven", "twice"):
+        with LogWriter(tmp_path / f"{wrong}.mcap") as log:
+            for k in range(40):
+                message = joints(START + k * PERIOD, np.zeros(1))
+                if wrong == "uneven" and k in (3, 9):
+                    message.position = np.zeros(2)
+                if wrong == "twice":
+                    message.name, message.position, message.velocity = ["elbow"] * 2, np.zeros(2), np.zeros(2)
+                log.write("/joint_states", message, START + k * PERIOD)
+    (topic,) = checked(tmp_path / "uneven.mcap").topics
+    assert topic.faults == ("2 messages with other numbers of positions or velocities than of names",)
+    (topic,) = checked(tmp_path / "twice.mcap").topics
+    assert topic.faults == ("messages name elbow more than once",)
 
 
 URDF = """<robot name="r"><link name="base_link"/><link name="a"/><link name="b"/><link name="c"/>

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twin_node.bag import LogWriter, open_log
-from twin_node.messages import message_type
+from twin_node.messages import convert, header, message_type
 from twin_node.nodes.player import Player, span_of
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.topics import JOINT_STATES, GraphError
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
 
@@ -44,3 +45,17 @@ def test_a_damaged_message_is_told_with_its_place(tmp_path: Path) -> None:
     with open_log(tmp_path / "log.mcap") as log, pytest.raises(GraphError, match=words):
         list(Player(log, bus, {"/chatter": "/chatter"}, span_of(log)).steps(SteppedClock()))
     assert heard == ["0"]
+
+
+def test_joints_that_nobody_can_use_are_told_with_their_place(tmp_path: Path) -> None:
+    joint, bus = message_type("sensor_msgs/msg/JointState"), LocalBus()
+    bus.subscribe(JOINT_STATES, convert.joint_sample_from_message)
+    none = np.zeros(0)
+    unequal = joint(header=header(0, ""), name=["elbow"], position=np.zeros(2), velocity=none, effort=none)
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        nothing = joint(header=header(0, ""), name=[], position=none, velocity=none, effort=none)
+        writer.write("/ur/joint_states", nothing, HOUR_NS)
+        writer.write("/ur/joint_states", unequal, HOUR_NS + 1_250_000_000)
+    words = r"log\.mcap: /ur/joint_states, 1\.250 s after the log's start: JointState at 0 ns: 1 names, 2 positions"
+    with open_log(tmp_path / "log.mcap") as log, pytest.raises(GraphError, match=words):
+        list(Player(log, bus, {"/ur/joint_states": JOINT_STATES}, span_of(log)).steps(SteppedClock()))

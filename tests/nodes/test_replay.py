@@ -36,8 +36,10 @@ from twin_node.nodes.topics import (
     OCCUPANCY,
     SEPARATION,
     STATUS,
+    TRAJECTORY,
+    GraphError,
 )
-from twin_node.scene import HORIZONS_NS, Grid, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
+from twin_node.scene import HORIZONS_NS, Grid, JointPath, ObstacleKind, Obstacles, Occupancy, Tier, TwinState
 
 SECONDS = 1.2
 WIDTH = "96"
@@ -225,6 +227,31 @@ def test_in_real_time_the_first_decision_is_made_for_the_arm_that_the_log_tells_
     lockstep, real_time = first
     assert real_time.evidence_stamp == lockstep.evidence_stamp
     assert real_time.distance == pytest.approx(lockstep.distance)
+
+
+@pytest.mark.parametrize(("rate", "time"), [(None, ", 0.200 s after the log's start"), (1.0, "")])
+def test_a_trajectory_that_no_arm_goes_along_is_told_with_its_log(
+    cell_log: Callable[..., Path], tmp_path: Path, rate: float | None, time: str
+) -> None:
+    """It was told as one of nobody's, with all its points."""
+    path = tmp_path / "log.mcap"
+    arm = ArmParameters("ur5e")
+    with open_log(cell_log(0.5)) as read, LogWriter(path) as log:
+        for name, record in read.metadata.items():
+            log.add_metadata(name, record)
+        for message in read.messages():
+            if message.topic != TRAJECTORY or message.stamp < read.start_ns + 200_000_000:
+                log.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+                continue
+            stamps = message.stamp + np.arange(3) * 100_000_000
+            nowhere = JointPath(names=arm.arm().joint_names, stamps=stamps, positions=np.full((3, 6), np.nan))
+            log.write(TRAJECTORY, convert.joint_path_to_message(nowhere), message.stamp)
+    parameters = replace(load_parameters(None), synchronizer=SynchronizerParameters(width=64), arm=arm)
+    parameters = replace(parameters, model=replace(parameters.model, own_process=False))
+    with LogSession(path) as session, pytest.raises(GraphError) as error, replay(session, parameters, rate=rate):
+        pass
+    why = "joint values: expected finite angles of at most 1e+06 rad, found nan; check the arm's driver"
+    assert str(error.value) == f"{path}: {TRAJECTORY}{time}: {why}"
 
 
 def test_where_the_models_process_dies_the_run_ends_in_one_line(

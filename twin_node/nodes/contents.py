@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from twin_node.bag import LogMessage, LogReader
+from twin_node.errors import TwinError
 from twin_node.messages import Message, MessageError
 from twin_node.nodes.topics import GraphError
 
@@ -25,8 +27,22 @@ def record_of(message: LogMessage, log: LogReader, convert: Callable[[Message], 
     try:
         return convert(message.message)
     except MessageError as error:
-        after_s = (message.stamp - log.start_ns) / 1e9
-        raise GraphError(
-            f"{log.path}: {message.topic}, {after_s:.3f} s after the log's start: {error}; see what else is with "
-            f"'twin_node check {log.path}'{advice}"
-        ) from None
+        place = _place(log, message.topic, message.stamp)
+        raise GraphError(f"{place}: {error}; see what else is with 'twin_node check {log.path}'{advice}") from None
+
+
+@contextlib.contextmanager
+def told_of(log: LogReader, topic: str, stamp: int | None = None) -> Iterator[None]:
+    """While somebody works on a message of `log`; `stamp`: when it was recorded, ns, where that is known.
+
+    Raises `GraphError` naming log, topic and time for any `TwinError`.
+    """
+    try:
+        yield
+    except TwinError as error:
+        raise GraphError(f"{_place(log, topic, stamp)}: {error}") from error
+
+
+def _place(log: LogReader, topic: str, stamp: int | None) -> str:
+    after = "" if stamp is None else f", {(stamp - log.start_ns) / 1e9:.3f} s after the log's start"
+    return f"{log.path}: {topic}{after}"

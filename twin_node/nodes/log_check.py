@@ -104,6 +104,8 @@ class _Seen:
     """Stamps with whole seconds among their nanoseconds: no two programs need to take them for the same time."""
     wild: int = 0
     """JointStates with positions none of which is a number, or one of which is infinite."""
+    uneven: int = 0
+    """JointStates with other numbers of positions or velocities than of names, which nobody can tell apart."""
 
     @property
     def busiest(self) -> _Stream:
@@ -139,7 +141,9 @@ def check_log(
             is_regular = topic.msgtype in REGULAR_TYPES
             unit = None if stream.farthest is None or found.wild else angle_fault(names, stream.farthest, ranges)
             times = [] if found.uncarried else _time_faults(stream, is_regular, log.start_ns)
-            in_all = [*times, *filter(None, [unit])]
+            twice = sorted({name for name in names if names.count(name) > 1})
+            named = f"messages name {', '.join(twice)} more than once" if twice else None
+            in_all = [*times, *filter(None, [unit, named])]
             faults += [f"{whose}{fault}" for fault in in_all]
         faults += [*_stamp_faults(found), *images.faults(topic.name)]
         faults += _unit_faults(topic.name, topic.msgtype, found, images)
@@ -203,6 +207,8 @@ def _look_at_joints(content: Any, seen: _Seen, stream: _Stream) -> None:
     """Takes note of where a JointState has its joints."""
     positions = np.abs(content.position)
     seen.wild += bool(np.isinf(positions).any() or (len(positions) and np.isnan(positions).all()))
+    told = (len(content.name), len(content.velocity) or len(content.name))
+    seen.uneven += bool(len(positions)) and told != (len(positions), len(positions))
     if len(positions) == len(content.name):
         before = np.zeros(len(positions)) if stream.farthest is None else stream.farthest
         stream.farthest = np.fmax(before, positions)
@@ -227,8 +233,10 @@ def _calibration_faults(seen: _Seen, start: int) -> list[str]:
 
 def _unit_faults(topic: str, msgtype: str, seen: _Seen, images: EveryImage) -> list[str]:
     """What speaks against the units of a topic's messages."""
-    if msgtype == JOINT_STATE and seen.wild:
-        return [f"{several(seen.wild, 'message')} with positions that are not finite"]
+    if msgtype == JOINT_STATE:
+        wild = [f"{several(seen.wild, 'message')} with positions that are not finite"] if seen.wild else []
+        uneven = f"{several(seen.uneven, 'message')} with other numbers of positions or velocities than of names"
+        return [*wild, *([uneven] if seen.uneven else [])]
     if msgtype in IMAGE_TYPES and is_depth(topic):
         return depth_faults(topic, seen.contents, images)
     return []

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from twin_node.bag import LogReader
-from twin_node.nodes.contents import content_of
-from twin_node.nodes.topics import GraphError
+from twin_node.nodes.contents import content_of, told_of
+from twin_node.nodes.topics import OF_THE_ARM, GraphError
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import PacedClock, SteppedClock
 
@@ -57,7 +58,8 @@ class Player:
         """Publish the span's messages in the log's order; yields the log time, ns, after each.
 
         A stepped clock is moved to each message's time, a paced one is waited for: where that takes longer than
-        `patience_s`, the time is yielded so often meanwhile. Raises `GraphError` for a message that is damaged.
+        `patience_s`, the time is yielded so often meanwhile. Raises `GraphError` for a message that is damaged, and for
+        one about the arm that who hears it cannot use.
         """
         for message in self._log.messages(list(self._topics), self._span.start_ns, self._span.stop_ns):
             if isinstance(clock, SteppedClock):
@@ -67,5 +69,8 @@ class Player:
                     time.sleep(patience_s)
                     yield clock.now()
                 time.sleep(max(0.0, left_s))
-            self._bus.publish(self._topics[message.topic], content_of(message, self._log))
+            topic, content = self._topics[message.topic], content_of(message, self._log)
+            is_of_arm = topic in OF_THE_ARM
+            with told_of(self._log, message.topic, message.stamp) if is_of_arm else contextlib.nullcontext():
+                self._bus.publish(topic, content)
             yield message.stamp

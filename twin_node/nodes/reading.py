@@ -14,14 +14,12 @@ from twin_node.bag.qos import is_latched
 from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
-from twin_node.nodes.topics import FRAMES, JOINT_STATES, TRAJECTORY, GraphError
+from twin_node.nodes.topics import FRAMES, OF_THE_ARM, GraphError
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import PacedClock, SteppedClock
 from twin_node.runtime.worker_process import EndedError, WorkerProcess, is_worth_it
 from twin_node.scene import Camera, FrameSet
 
-HANDED_ON = (JOINT_STATES, TRAJECTORY)
-"""Topics whose messages must not be lost."""
 LONGEST_WAIT_S = 0.1
 """How long a thread that waits for its log's next message may take to notice that nobody listens any more, s."""
 
@@ -62,7 +60,7 @@ class Play:
         self._synchronizer.configure()
         self._synchronizer.activate()
         self._bus.subscribe(FRAMES, on_frames)
-        for topic in HANDED_ON:
+        for topic in OF_THE_ARM:
             self._bus.subscribe(topic, partial(on_message, topic))
 
     def steps(self) -> Iterator[int]:

@@ -17,6 +17,7 @@ from twin_node.nodes.bridge import Bridge
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.collector import CollectorNode
+from twin_node.nodes.contents import told_of
 from twin_node.nodes.latency import ASSUMED_LATENCY_NS, Latency
 from twin_node.nodes.log_source import LogSession, LogSource, workspace_for
 from twin_node.nodes.model import Following
@@ -193,7 +194,8 @@ class _Engine:
             try:
                 for messages, frames in bridge.batches():
                     for topic, message in messages:
-                        working.publish(topic, message)
+                        with told_of(self._session.log, topic):
+                            working.publish(topic, message)
                     working.publish(FRAMES, frames)
                     through = clock.now()
                     chain.model_node.work_between_sets(lambda: not bridge.is_waiting)

@@ -38,6 +38,8 @@ RECORDED = (GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, OCCUPANCY, OBSTACLES
 JOINT_STATES = "/joint_states"
 TRAJECTORY = "/arm/trajectory"
 """Where the arm will be; published by who drives it."""
+OF_THE_ARM = (JOINT_STATES, TRAJECTORY)
+"""What a log tells of the arm."""
 FOLLOW = "/arm/follow"
 """`trajectory_msgs/JointTrajectory` that the UR driver is to follow in servo mode, from now on; one without points ends
 the one that is followed."""

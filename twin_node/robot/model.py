@@ -174,8 +174,9 @@ class ArmModel:
 
 
 def _refuse_wild(values: Float64) -> None:
-    if not (np.abs(values) <= FARTHEST_RAD).all():
+    is_wild = ~(np.abs(values) <= FARTHEST_RAD)
+    if is_wild.any():
         raise RobotError(
-            f"joint values: expected finite angles of at most {FARTHEST_RAD:g} rad, found {values.tolist()}; check the "
-            "arm's driver"
+            f"joint values: expected finite angles of at most {FARTHEST_RAD:g} rad, found {values[is_wild][0]:g}; "
+            "check the arm's driver"
         )
