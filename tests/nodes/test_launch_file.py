@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 import re
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import pytest
 
 from twin_node.errors import TwinError
-from twin_node.nodes.chain_parameters import ChainParameters, load_parameters
+from twin_node.nodes.chain_parameters import ChainParameters, chain_parameters, load_parameters
 from twin_node.nodes.launch.kinds import CHAIN_SECTIONS
 from twin_node.nodes.launch.launch_file import in_one_process, read_arguments, read_launch_file, remapped
 
@@ -288,6 +288,35 @@ def test_what_parameters_refuse_names_where_they_came_from(tmp_path: Path) -> No
     given.write_text("synchronizer: {ros__parameters: {width: -3}}")
     with pytest.raises(TwinError, match=r"given.yaml: synchronizer: width: expected 16 to 16384 pixels, found -3"):
         load_parameters(given)
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "words"),
+    [
+        ("grid", {"voxel_size": 0}, "grid: voxel_size: expected more than 0 and at most 1, found 0"),
+        (
+            "synchronizer",
+            {"grouping": {"queue_size": 0}},
+            "synchronizer: grouping.queue_size: expected 1 to 1000, found 0",
+        ),
+        (
+            "synchronizer",
+            {"grouping": {"min_period_ns": [5, -1]}},
+            "synchronizer: grouping.min_period_ns: expected 0 or",
+        ),
+        (
+            "synchronizer",
+            {"grouping": {"deadline_ns": -1}},
+            "synchronizer: grouping.deadline_ns: expected a number of 0",
+        ),
+    ],
+)
+def test_values_that_a_later_use_would_refuse_are_refused_when_the_file_is_read(
+    section: str, values: dict[str, Any], words: str
+) -> None:
+    """They were when cameras were there, without the file's name or the section's."""
+    with pytest.raises(TwinError, match=f"^cell.yaml: {re.escape(words)}"):
+        chain_parameters({section: values}, "cell.yaml")
 
 
 def test_topics_of_all_nodes_are_renamed(small: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin_node.forecast.errors import ForecastError
+from twin_node.ranges import Range, check_ranges
 from twin_node.scene import Bool, Float64, Grid, UInt32, read_only
 
 MOST_VOXELS = 1_500_000
@@ -20,7 +21,11 @@ class GridParameters:
     """The voxels that occupancy is reported on."""
 
     voxel_size: float = 0.02
-    """Edge of a voxel, m."""
+    """Edge of a voxel, m; longer where more than 1.5 million would fill the workspace: two CPU cores follow no more."""
+
+    def __post_init__(self) -> None:
+        """Raises `ForecastError` for a size that none is, or that tells nothing."""
+        check_ranges(self, ForecastError, "grid: ", voxel_size=Range(0, LARGEST_VOXEL_M, above=True))
 
 
 def default_grid(workspace: Float64, voxel_size: float = 0.02) -> Grid:

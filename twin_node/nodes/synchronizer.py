@@ -48,7 +48,7 @@ class SynchronizerParameters:
     grouping: SyncParameters = field(default_factory=SyncParameters)
 
     def __post_init__(self) -> None:
-        """Raises `GraphError` for a width, a rate or a time that is none."""
+        """Raises `GraphError` for a width, a rate or a time that is none, `RigError` for a grouping that is none."""
         if self.width is not None and not WIDTHS_PX.holds(self.width):
             raise GraphError(
                 f"synchronizer: width: expected {WIDTHS_PX} pixels, found {self.width}; leave it out to take the "
@@ -64,6 +64,7 @@ class SynchronizerParameters:
                 f"synchronizer: depth_tolerance_ms: expected 0 to {MOST_TOLERANCE_MS:g} ms, found "
                 f"{self.depth_tolerance_ms:g}"
             )
+        self.grouping.check("synchronizer: grouping.")
 
 
 class SynchronizerNode(Node):

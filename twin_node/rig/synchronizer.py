@@ -45,6 +45,15 @@ class SyncParameters:
     future_tolerance_ns: int | None = 100_000_000
     """An image stamped later than its arrival by more than this is refused; None: never."""
 
+    def check(self, where: str) -> None:
+        """Raises `RigError`, naming `where` and the field, for a value that none is."""
+        times = ("max_interval_ns", "deadline_ns", "future_tolerance_ns")
+        given = [name for name in times if getattr(self, name) is not None]
+        ranges = {"queue_size": Range(1, 1000), "age_penalty": NOT_NEGATIVE, "period_share": SHARE}
+        check_ranges(self, RigError, where, **ranges, **dict.fromkeys(given, NOT_NEGATIVE))
+        if min(self.min_period_ns, default=0) < 0:
+            raise RigError(f"{where}min_period_ns: expected 0 or more each, found {list(self.min_period_ns)}")
+
 
 @dataclass(frozen=True)
 class InputCounts:
@@ -272,11 +281,6 @@ class ApproximateTimeSynchronizer(Generic[T]):
 def _check(inputs: tuple[str, ...], p: SyncParameters) -> None:
     if not inputs or len(set(inputs)) != len(inputs):
         raise RigError(f"synchroniser: expected inputs with distinct names, found {list(inputs)}")
-    check_ranges(p, RigError, "synchroniser: ", queue_size=Range(1, 1000), age_penalty=NOT_NEGATIVE, period_share=SHARE)
-    for name in ("max_interval_ns", "deadline_ns", "future_tolerance_ns"):
-        if getattr(p, name) is not None:
-            check_ranges(p, RigError, "synchroniser: ", **{name: NOT_NEGATIVE})
-    if min(p.min_period_ns, default=0) < 0:
-        raise RigError(f"synchroniser: min_period_ns: expected 0 or more each, found {list(p.min_period_ns)}")
+    p.check("synchroniser: ")
     if p.min_period_ns and len(p.min_period_ns) != len(inputs):
         raise RigError(f"synchroniser: expected {len(inputs)} values of min_period_ns, found {len(p.min_period_ns)}")
