@@ -99,6 +99,17 @@ def test_a_replay_says_how_many(
     assert told[0].startswith("twin_node: warning: camera cam_left: left out 1 damaged image of ")
 
 
+@pytest.mark.parametrize("pace", [("--lockstep",), ("--rate", "0.5")])
+def test_stamps_are_not_blamed_for_images_that_are_damaged(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], pace: tuple[str, ...]
+) -> None:
+    """Of a camera most of whose images were damaged it was said, too, that it sends too slowly or at other times."""
+    log = spoilt(cell_log(SECONDS), tmp_path / "spoilt.mcap", range(4, 100), garbled)
+    assert main(["replay", str(log), *pace, "--width", "80"]) == 0
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "cam_left" in line]
+    assert line.startswith("twin_node: warning: camera cam_left: left out ")
+
+
 def test_a_camera_none_of_whose_images_can_be_used_is_an_error(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     """It may send a format that is not known: a run without it would be of another rig."""
     log = spoilt(cell_log(SECONDS), tmp_path / "spoilt.mcap", range(100), garbled)

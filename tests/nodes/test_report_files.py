@@ -51,6 +51,8 @@ def test_cameras_that_most_sets_had_to_do_without_are_named() -> None:
         "camera c: in only 0 of 10 sets",
     ]
     assert not any("--rate" in line for line in held.lacking("abc", ()))
+    assert held.lacking("ab", (), damaged={"b": 3}) == (), "they were there, but damaged"
+    assert len(held.lacking("ab", (), damaged={"b": 2, "a": 9})) == 1
     assert all(
         line.endswith("; or 50 times the recording's speed is too fast here: lower --rate")
         for line in held.lacking("abc", (), 50.0)
@@ -69,6 +71,8 @@ def test_a_camera_that_stops_is_named_though_most_sets_have_it(
         held.add(FrameSet(stamp, tuple(View(camera, stamp, image) for camera in there)), stamp)
     told = held.lacking("ab", ())
     assert bool(told) == is_told
+    assert held.lacking("ab", (), damaged={"b": 14}) == told
+    assert held.lacking("ab", (), damaged={"b": 15}) == (), "those of the last sets may have been damaged"
     assert all(line.startswith("camera b: in none of the last 15 sets, 1.5 s: it stopped") for line in told)
 
 

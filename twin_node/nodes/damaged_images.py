@@ -50,6 +50,11 @@ class DamagedImages:
             raise error
 
     @property
+    def counts(self) -> dict[str, int]:
+        """How many of each camera's were, of those that had any."""
+        return dict(self._count.damaged)
+
+    @property
     def lines(self) -> tuple[str, ...]:
         """What there is to say, a line for each camera."""
         return tuple(f"camera {name}: left out {self._count.told(name)}" for name in self._count.damaged)

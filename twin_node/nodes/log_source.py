@@ -178,8 +178,9 @@ class LogSource:
         ended = self._session.log.damage or held.ended_before(self._session.span.stop_ns)
         if ended is not None:
             warnings.warn(ended, TwinWarning, stacklevel=2)
-        lacking = held.lacking(self._session.cameras_in_sets, self._session.cameras)
-        for line in (*synchronizer.damaged.lines, *lacking):
+        damaged = synchronizer.damaged
+        lacking = held.lacking(self._session.cameras_in_sets, self._session.cameras, damaged=damaged.counts)
+        for line in (*damaged.lines, *lacking):
             warnings.warn(line, TwinWarning, stacklevel=2)
 
 

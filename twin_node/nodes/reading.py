@@ -6,7 +6,7 @@ import contextlib
 import pickle
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, cast
 
@@ -45,6 +45,8 @@ class Finished:
     """Where the log could not be read on; None: it was read to its end."""
     damaged_images: tuple[str, ...] = ()
     """A line for each camera some of whose images were left out."""
+    damaged_counts: Mapping[str, int] = field(default_factory=dict)
+    """How many these were, by the cameras' names."""
     peak_rss_mb: float = 0.0
     """Most memory that a process of its own has held, MB."""
 
@@ -69,7 +71,8 @@ class Play:
 
     def finished(self, peak_rss_mb: float = 0.0) -> Finished:
         """What there is to say of it, in a process of its own with the memory that this has held, MB."""
-        return Finished(self._session.log.damage, self._synchronizer.damaged.lines, peak_rss_mb)
+        damaged = self._synchronizer.damaged
+        return Finished(self._session.log.damage, damaged.lines, damaged.counts, peak_rss_mb)
 
 
 class Reading:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from twin_node.bag import ChunkCompression, LogWriter
@@ -68,6 +68,8 @@ class Run:
     """Where the log could not be read on; None: it was read to its end."""
     damaged_images: tuple[str, ...] = ()
     """A line for each camera some of whose images were left out."""
+    damaged_counts: Mapping[str, int] = field(default_factory=dict)
+    """How many these were, by the cameras' names."""
 
     @property
     def is_lockstep(self) -> bool:
@@ -90,7 +92,7 @@ class Run:
         some of whose images were damaged; one where sets ended before the log did."""
         arrived = self.collector.arrived
         ended = arrived.ended_before(session.span.stop_ns) if self.damage is None else None
-        lacking = arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0)
+        lacking = arrived.lacking(session.cameras_in_sets, session.cameras, self.rate or 1.0, self.damaged_counts)
         return (*(() if ended is None else (ended,)), *self.damaged_images, *lacking)
 
 
@@ -160,7 +162,7 @@ class _Engine:
         for stamp in self._session.player(bus).steps(clock):
             chain.model_node.follow()
             self._progress((stamp - self._session.span.start_ns) / 1e9)
-        read = Finished(self._session.log.damage, synchronizer.damaged.lines)
+        read = Finished(self._session.log.damage, synchronizer.damaged.lines, synchronizer.damaged.counts)
         return self._finish(chain, collector, 0, time.perf_counter() - begun, None, read)
 
     def in_real_time(self, rate: float) -> Run:
@@ -270,6 +272,7 @@ class _Engine:
             rate=rate,
             damage=read.damage,
             damaged_images=read.damaged_images,
+            damaged_counts=read.damaged_counts,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from twin_node.nodes.topics import CameraTopics
@@ -40,24 +40,33 @@ class SetContents:
         self._stamp = frames.stamp
         self._last |= {view.camera.name: (frames.stamp, self.sets) for view in frames.views}
 
-    def lacking(self, names: Collection[str], cameras: Sequence[CameraTopics], rate: float = 1.0) -> tuple[str, ...]:
+    def lacking(
+        self,
+        names: Collection[str],
+        cameras: Sequence[CameraTopics],
+        rate: float = 1.0,
+        damaged: Mapping[str, int] | None = None,
+    ) -> tuple[str, ...]:
         """A line for each camera of the names that most sets had to do without, or the last ones, or its images without
         their depth.
 
         `rate`: speed of the clock by that of the recording; where it is higher, images may come too late by it.
+        `damaged`: how many of a camera's images were left out as damaged, which is told elsewhere: sets that had to do
+        without these say nothing of its stamps.
         """
+        left_out = damaged or {}
         hurried = f"; or {rate:g} times the recording's speed is too fast here: lower --rate" if rate > 1 else ""
         lines = [
             f"camera {name}: in only {self.images[name]} of {self.sets} sets: its images' stamps lie too far from the "
             f"others', or it sends more slowly; see their times with 'twin_node check'{hurried}"
             for name in names
-            if self.images[name] < LEAST_SHARE * self.sets
+            if self.images[name] + left_out.get(name, 0) < LEAST_SHARE * self.sets
         ]
         lines += [
             f"camera {name}: in none of the last {stopped.sets} sets, {stopped.seconds:.1f} s: it stopped, or its "
             f"clock was set; see its times with 'twin_node check'{hurried}"
             for name in names
-            if (stopped := self._stopped(name)) is not None
+            if (stopped := self._stopped(name)) is not None and left_out.get(name, 0) < stopped.sets
         ]
         for camera in cameras:
             images, depths = self.images[camera.name], self.depths[camera.name]
