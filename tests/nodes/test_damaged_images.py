@@ -110,6 +110,21 @@ def test_stamps_are_not_blamed_for_images_that_are_damaged(
     assert line.startswith("twin_node: warning: camera cam_left: left out ")
 
 
+@pytest.mark.parametrize("pace", [("--lockstep",), ("--rate", "1")])
+def test_a_short_log_of_damaged_images_alone_is_told_as_that(
+    cell_log: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], pace: tuple[str, ...]
+) -> None:
+    """It was told that its only camera's stamps lie too far apart."""
+    with open_log(cell_log(0.2)) as source, LogWriter(tmp_path / "left.mcap") as written:
+        for message in source.messages():
+            if not any(name in message.topic for name in (*OTHERS, "depth")):
+                written.write_raw(message.topic, message.msgtype, message.data, message.stamp)
+    log = spoilt(tmp_path / "left.mcap", tmp_path / "spoilt.mcap", range(100), garbled)
+    assert main(["replay", str(log), *pace, "--width", "80"]) == 2
+    said = capsys.readouterr().err
+    assert "no set of images of cam_left within" in said and "cam_left: left out 6 damaged images of 6; the la" in said
+
+
 def test_a_camera_none_of_whose_images_can_be_used_is_an_error(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     """It may send a format that is not known: a run without it would be of another rig."""
     log = spoilt(cell_log(SECONDS), tmp_path / "spoilt.mcap", range(100), garbled)

@@ -211,14 +211,15 @@ class _Engine:
         lest a made-up one be judged."""
         sets: list[FrameSet] = []
         light, first = FirstLight(), None
-        for _ in Play(order, SteppedClock(), sets.append, bus.publish).steps():
+        play = Play(order, SteppedClock(), sets.append, bus.publish)
+        for _ in play.steps():
             for frames in sets:
                 first = first or frames
                 if not light.is_dark(frames):
                     return frames
             sets.clear()
         if first is None:
-            raise _nothing_followed(self._session, 0)
+            raise _nothing_followed(self._session, 0, play.finished().damaged_images)
         return first
 
     def _chain(
@@ -254,7 +255,7 @@ class _Engine:
     ) -> Run:
         """What the run leaves behind; `read`: what there is to say of the log."""
         if collector.newest_state is None:
-            raise _nothing_followed(self._session, collector.arrived.sets)
+            raise _nothing_followed(self._session, collector.arrived.sets, read.damaged_images)
         chain.stop()
         collector.end()
         return Run(
@@ -276,14 +277,16 @@ class _Engine:
         )
 
 
-def _nothing_followed(session: LogSession, sets: int) -> GraphError:
-    """Why no model was made, of so many sets that came."""
+def _nothing_followed(session: LogSession, sets: int, damaged: Sequence[str]) -> GraphError:
+    """Why no model was made, of so many sets that came; `damaged`: a line for each camera with damaged images."""
     names = ", ".join(camera.name for camera in session.rig.cameras)
     if sets:
         why = (
             f"all {sets} sets of {names} show nothing, black or burnt out: uncover the cameras or mend the light, or "
             "begin where they show something, by --start-offset"
         )
+    elif damaged:
+        why = f"no set of images of {names} within {session.span.seconds:.2f} s; {'; '.join(damaged)}"
     else:
         why = (
             f"no set of images of {names} within {session.span.seconds:.2f} s; the cameras' stamps lie too far apart, "
