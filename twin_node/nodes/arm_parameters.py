@@ -15,7 +15,7 @@ from twin_node.arm import (
     stopping_table,
 )
 from twin_node.arm.ur import LOOKAHEAD_S, LOOKAHEADS_S
-from twin_node.ranges import NOT_NEGATIVE, Range, check_ranges
+from twin_node.ranges import Range, check_ranges
 from twin_node.robot import ArmModel, arm_model
 
 FARTHEST_TOOL_M = 2.0
@@ -27,6 +27,8 @@ FASTEST_RAD_S = 15.0
 """No joint of an arm is faster: who gives more means degrees."""
 OF_A_STOP = 10.0
 """A stop's angle is about half its time at the speed before; none is so many times less or more."""
+LONGEST_S = 10.0
+"""No command is under way, and no program slides to a stop, for so long, s: who gives more means milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +151,8 @@ class ArmParameters:
             self,
             ArmError,
             "arm: ",
-            command_latency_ms=NOT_NEGATIVE,
-            slide_s=NOT_NEGATIVE,
+            command_latency_ms=Range(0, LONGEST_S * 1e3),
+            slide_s=Range(0, LONGEST_S),
             max_obstacles=Range(1),
         )
         if self.lookahead_s is not None:
