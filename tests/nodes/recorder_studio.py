@@ -49,14 +49,21 @@ class Studio:
         self.is_finished = True
 
     def hear(self, topic: str, message: Any) -> None:
+        self.bring(topic, message)
+        self.run()
+
+    def bring(self, topic: str, message: Any) -> None:
+        """What comes while the recorder waits for its disk."""
         self._wire.publisher("somebody", topic, kind_of(topic) or TopicKind(message.__msgtype__))(message)
-        while self._executor.step(0.0):
-            pass
 
     def hear_at_once(self, *messages: Any) -> None:
         """Diagnostics that come while the recorder waits for its disk."""
         for message in messages:
-            self._wire.publisher("somebody", DIAGNOSTICS, kind_of(DIAGNOSTICS))(message)
+            self.bring(DIAGNOSTICS, message)
+
+    def run(self) -> None:
+        while self._executor.step(0.0):
+            pass
 
     def step(self) -> None:
         self._executor.step(60.0)

@@ -137,6 +137,27 @@ class SetClock:
         return self.stamp
 
 
+def test_a_disk_too_slow_for_images_is_no_clock_that_is_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was left of them came before older messages of others, each of which began a recording of its own."""
+    monkeypatch.setattr("twin_node.nodes.live.recorder.EVERY", Qos(depth=3))
+    clock, topic = SetClock(), "/front/image_raw"
+    studio = Studio(tmp_path / "run.mcap", clock, topics=(DIAGNOSTICS, topic))
+    image = convert.raw_image("front", LOG_START, np.zeros((4, 4, 3), np.uint8))
+    for second in range(9):
+        clock.stamp = LOG_START + second * 10**9
+        studio.bring(topic, image)
+        if second % 3 == 0:
+            studio.bring(DIAGNOSTICS, convert.diagnostics_to_message(second, []))
+    studio.run()
+    studio.end()
+    assert studio.said == []
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [(entry.stamp - LOG_START) // 10**9 for entry in log.messages()] == [0, 3, 6, 6, 7, 8]
+
+
 @pytest.mark.parametrize(("name", "second"), [("run", "run_r1"), ("run.mcap", "run_r1.mcap")])
 def test_a_clock_that_is_put_back_begins_another_recording(tmp_path: Path, name: str, second: str) -> None:
     """In one log what came before and after stood between each other, and a replay saw two times at once."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twin_node.bag import BagError, RecordingWriter
 from twin_node.messages import Message, builtin_types, serialize
-from twin_node.nodes.put_back import PutBackClock
+from twin_node.nodes.put_back import Arrivals, PutBackClock
 
 
 class DriverLog:
@@ -21,7 +21,7 @@ class DriverLog:
     def __init__(self, path: Path, say: Callable[[str], None]) -> None:
         """Raises `BagError` where nothing can be begun at `path`."""
         self._writers = [RecordingWriter(path)]
-        self._put_back = PutBackClock(path, say)
+        self._arrivals, self._put_back = Arrivals(), PutBackClock(path, say)
         self._say = say
         self.error: BagError | None = None
         """Why it ended before its time; None: it did not."""
@@ -36,7 +36,7 @@ class DriverLog:
         if self.error is not None:
             return
         try:
-            if (beside := self._put_back.beside(stamp_ns)) is not None:
+            if (beside := self._put_back.beside(self._arrivals.at(stamp_ns))) is not None:
                 self._writers.append(self._writers[-1].followed_by(beside, stamp_ns))
             self._writers[-1].write(topic, message.__msgtype__, serialize(message), stamp_ns, builtin_types())
         except BagError as error:

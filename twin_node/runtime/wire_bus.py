@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from twin_node.errors import TwinError
 from twin_node.messages import Message
 from twin_node.messages.services import ServiceType
-from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Executor, Inbox
 from twin_node.runtime.names import within, without
 from twin_node.runtime.qos import KindOf, TopicKind
 from twin_node.runtime.services import PATIENCE_S, Answer, Reply
 from twin_node.runtime.wire import Cancel, Encoded, Send, Sink, Wire, encoded
+
+T = TypeVar("T")
 
 REQUESTS_KEPT = 16
 """Requests of a service that wait for the node; of more the oldest get no answer."""
@@ -38,12 +39,12 @@ class BusError(TwinError):
 
 
 class _Timed:
-    """A message on its way to its callback, and when it came, ns."""
+    """A message on its way to its callback, and when it came."""
 
-    __slots__ = ("message", "stamp")
+    __slots__ = ("came", "message")
 
-    def __init__(self, message: Any, stamp: int) -> None:
-        self.message, self.stamp = message, stamp
+    def __init__(self, message: Any, came: Any) -> None:
+        self.message, self.came = message, came
 
     @property
     def data(self) -> Any:
@@ -161,17 +162,18 @@ class WireBus:
         """Call `callback(encoded)` for every message on `topic`, undecoded, until cancelled in that thread."""
         return self._subscribe(topic, callback, raw=True)
 
-    def subscribe_timed(self, topic: str, callback: Callable[[Encoded, int], None], clock: Clock) -> None:
-        """Call `callback(encoded, stamp)` for every message on `topic`, undecoded.
+    def subscribe_timed(self, topic: str, callback: Callable[[Encoded, T], None], now: Callable[[], T]) -> None:
+        """Call `callback(encoded, came)` for every message on `topic`, undecoded.
 
-        `stamp`: when it came, ns by `clock`, which any thread may ask; it may have waited for its callback since.
+        `came`: what `now()` said when it came, which is called in any thread; it may have waited for its callback
+        since.
         """
 
         def call(timed: _Timed) -> None:
-            callback(encoded(timed.message), timed.stamp)
+            callback(encoded(timed.message), timed.came)
 
         def timed(offer: Sink) -> Sink:
-            return lambda message: offer(_Timed(message, clock.now()))
+            return lambda message: offer(_Timed(message, now()))
 
         self._subscribe(topic, call, raw=False, to=timed)
 

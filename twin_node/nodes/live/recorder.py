@@ -13,7 +13,7 @@ from twin_node.bag.recording import free_path
 from twin_node.errors import several
 from twin_node.messages import builtin_types, convert
 from twin_node.nodes.live.setup import Setup
-from twin_node.nodes.put_back import PutBackClock
+from twin_node.nodes.put_back import Arrival, Arrivals, PutBackClock
 from twin_node.nodes.topics import RECORDED, GraphError, is_topic_name, kind_of
 from twin_node.runtime.node import Node
 from twin_node.runtime.qos import EVERY, TopicKind
@@ -86,7 +86,7 @@ class LiveRecorderNode(Node):
         self._has_begun = False
         self._has_told_of_loss = False
         self._error: BagError | None = None
-        self._put_back = PutBackClock(Path(parameters.output), setup.say)
+        self._arrivals, self._put_back = Arrivals(), PutBackClock(Path(parameters.output), setup.say)
 
     def on_configure(self) -> None:
         """Raises `BagError` where the output cannot be begun.
@@ -148,7 +148,7 @@ class LiveRecorderNode(Node):
         self._added[topic] = kind.msgtype
         qos = replace(EVERY, latched=kind.qos.latched)
         self._bus.declare(topic, TopicKind(kind.msgtype, qos))
-        self._bus.subscribe_timed(topic, partial(self._write, self._bus.renamed(topic), qos.latched), self.clock)
+        self._bus.subscribe_timed(topic, partial(self._write, self._bus.renamed(topic), qos.latched), self._now)
 
     def _find_more(self) -> None:
         """Takes up topics that others publish: those asked for whose type their name does not tell, or all.
@@ -222,27 +222,31 @@ class LiveRecorderNode(Node):
     def _too_slow(self) -> str:
         return f"the disk is too slow: {self._lost} messages were lost; record fewer topics, or to another disk"
 
-    def _write(self, topic: str, latched: bool, message: Encoded, now: int) -> None:
-        """`now`: when it came, ns; a disk that was slow to take what came before does not make it later."""
-        if now <= 0:
+    def _now(self) -> Arrival:
+        """Of a message that comes now, in the thread that brings it."""
+        return self._arrivals.at(self.clock.now())
+
+    def _write(self, topic: str, latched: bool, message: Encoded, came: Arrival) -> None:
+        """`came`: a disk that was slow to take what came before does not make it later."""
+        if came.stamp <= 0:
             if latched:
                 self._early.setdefault(topic, deque(maxlen=EARLY_KEPT)).append(message)
             return
         early, self._early = self._early, {}
         for name, messages in early.items():
             for one in messages:
-                self._put(name, one, now, latched=True)
-        self._put(topic, message, now, latched)
+                self._put(name, one, came, latched=True)
+        self._put(topic, message, came, latched)
 
-    def _put(self, topic: str, message: Encoded, stamp: int, latched: bool) -> None:
+    def _put(self, topic: str, message: Encoded, came: Arrival, latched: bool) -> None:
         try:
             if self._writer is None:
                 return
-            if (beside := self._put_back.beside(stamp)) is not None:
+            if (beside := self._put_back.beside(came)) is not None:
                 if self._parameters.tells:
                     self._say(self._summary(self._writer))
-                self._writer = self._writer.followed_by(beside, stamp)
-            self._writer.write(topic, message.msgtype, message.data, stamp, message.types, latched)
+                self._writer = self._writer.followed_by(beside, came.stamp)
+            self._writer.write(topic, message.msgtype, message.data, came.stamp, message.types, latched)
         except BagError as error:
             self._fail(error)
 
