@@ -56,6 +56,19 @@ def test_the_recorders_topics_are_heeded(cell_log: Callable[..., Path], tmp_path
         assert {topic.name for topic in log.topics} == {SEPARATION, JOINT_STATES}
 
 
+def test_what_is_said_of_every_node_is_said_of_player_and_recorder(
+    cell_log: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A launch of processes heeded it; in lockstep the whole log was played, and nothing recorded, without a word."""
+    output, log = tmp_path / "out.mcap", str(cell_log(0.4))
+    every = {"playback_duration": 0.15, "output": str(output), "topics": [SEPARATION]}
+    sections = {**SMALL, "/**": every, "player": {"log": log, "topics": []}}
+    run_in_lockstep(sections, "test", threading.Event(), print)
+    with open_log(log) as played, open_log(output) as written:
+        assert written.end_ns < played.start_ns + 0.25e9
+        assert {topic.name for topic in written.topics} == {SEPARATION}
+
+
 @pytest.mark.parametrize(
     ("node", "values", "words"),
     [

@@ -79,18 +79,24 @@ def test_only_depth_may_have_no_topic() -> None:
         RigParameters("rig.yaml", image="")
 
 
-def test_a_log_that_is_played_under_other_names_is_looked_at_under_these(tmp_path: Path) -> None:
-    """In lockstep it was; in a launch of processes its cameras were not found by the rig's names, or never heard."""
+@pytest.mark.parametrize("node", ["player", EVERY_NODE])
+def test_a_log_that_is_played_under_other_names_is_looked_at_under_these(tmp_path: Path, node: str) -> None:
+    """In lockstep it was; in a launch of processes its cameras were not found by the rig's names, or never heard.
+
+    Nor where the names were said of every node, and so of the player.
+    """
     log = str(tmp_path / "log.mcap")
     with LogWriter(log) as written:
         written.write("/eye/image_raw", convert.raw_image("eye", 5, np.zeros((48, 64, 3), np.uint8)), 5)
     save_rig(RigFile(Rig((CAMERA,))), tmp_path / "rig.yaml")
     player = {"log": log, "remap": ["/eye/image_raw:=/left/image_raw"]}
-    sections = {EVERY_NODE: {"rig": {"log": log, "file": str(tmp_path / "rig.yaml")}}, "player": player}
+    rig = {"rig": {"log": log, "file": str(tmp_path / "rig.yaml")}}
+    sections = {EVERY_NODE: rig, "player": {}} | {node: player | (rig if node == EVERY_NODE else {})}
     nothing = SimpleNamespace()
     setup = Setup("twin", nothing, nothing, nothing, sections, "test", lambda: None, lambda: ())
     assert read_rig(setup.rig()).cameras[0].image == "/left/image_raw"
-    assert not replace(setup, sections={**sections, "player": {**player, "log": "other.mcap"}}).rig().remap
+    other = {**sections, "player": {"log": "other.mcap"}}
+    assert not replace(setup, sections=other).rig().remap
 
 
 @pytest.mark.parametrize(("reference_s", "live"), [(11, False), (1_767_312_000, True)])

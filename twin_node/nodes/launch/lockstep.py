@@ -14,7 +14,7 @@ from twin_node.nodes.live.rig_source import RigParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
 from twin_node.nodes.topics import RECORDED, GraphError, parse_remaps
-from twin_node.runtime.parameters import EVERY_NODE, Sections, fill
+from twin_node.runtime.parameters import EVERY_NODE, Sections, fill, values_of
 
 
 def run_in_lockstep(sections: Sections, where: str, stop: threading.Event, say: Callable[[str], None]) -> None:
@@ -24,11 +24,11 @@ def run_in_lockstep(sections: Sections, where: str, stop: threading.Event, say: 
 
     Raises `GraphError` for what the player and the recorder are asked for and cannot do in lockstep.
     """
-    player = fill(PlayParameters, sections.get("player", {}), f"{where}: player")
+    player = fill(PlayParameters, values_of(PlayParameters, "player", sections), f"{where}: player")
     if not player.log:
         raise GraphError(f"{where}: player: expected 'log', the file or folder to play; give log:=LOG")
     _refuse(player, ("rate", "loop", "topics", "start_paused"), f"{where}: player")
-    recorder = fill(RecordParameters, sections.get("recorder", {}), f"{where}: recorder")
+    recorder = fill(RecordParameters, values_of(RecordParameters, "recorder", sections), f"{where}: recorder")
     _refuse(recorder, ("all", "split", "compression"), f"{where}: recorder")
     rig = fill(RigParameters, sections.get(EVERY_NODE, {}).get("rig", {}), f"{where}: {EVERY_NODE}: rig")
     _refuse_other_cameras(rig, player.log, f"{where}: {EVERY_NODE}: rig")

@@ -13,7 +13,7 @@ from twin_node.runtime.clock import Clock
 from twin_node.runtime.executor import Timers
 from twin_node.runtime.names import ROOT
 from twin_node.runtime.parameter_values import Parameter, named_parameters
-from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, values_of
+from twin_node.runtime.parameters import EVERY_NODE, ParameterError, Sections, fill, merged, values_of
 from twin_node.runtime.rmw_zenoh import Endpoint
 from twin_node.runtime.wire_bus import WireBus
 
@@ -75,11 +75,12 @@ class Setup:
         The topics of a log that the graph's player plays have the names that it gives them. Raises `ParameterError` for
         what is no `RigParameters`.
         """
-        where, given = f"{self.where}: {EVERY_NODE}: rig", self.sections.get(EVERY_NODE, {}).get("rig", {})
+        shared = self.sections.get(EVERY_NODE, {})
+        where, given = f"{self.where}: {EVERY_NODE}: rig", shared.get("rig", {})
         if not isinstance(given, Mapping):
             wanted = "keys and values such as {file: my_rig.yaml}"
             raise ParameterError(f"{where}: expected {wanted}, found {told(given)}")
-        played = self.sections.get("player", {})
+        played = merged(shared, self.sections.get("player", {}))
         if given.get("log") and given["log"] == played.get("log"):
             given = {"remap": played.get("remap", ()), **given}
         rig = fill(RigParameters, given, where)
