@@ -100,6 +100,7 @@ class SynchronizerNode(Node):
         self._set_ahead = ClocksSetAhead()
         self._deadline = (timers or NoTimers()).alarm(self._on_deadline)
         self._watch = CameraWatch(tuple(camera.name for camera in rig.cameras))
+        """Of a live graph: of a log nobody asks for its diagnoses, and it would keep the times of every image."""
         self._assembler = FrameAssembler(rig.cameras, parameters.width)
         self._topics = {camera.name: camera for camera in cameras}
         self._rig_cameras = {camera.name: camera for camera in rig.cameras}
@@ -174,10 +175,11 @@ class SynchronizerNode(Node):
     def _add(self, name: str, view: EncodedView) -> None:
         stamp = self._rig_cameras[name].rig_time(from_time(view.colour.header.stamp))
         now = self.clock.now()
-        self._watch.add(name, stamp, now, view.depth is not None)
-        if view.depth is not None and not self._topics[name].is_depth_aligned:
-            self._watch.add_depth_frame(name, view.depth.header.frame_id, view.colour.header.frame_id)
-        if not self._is_live:  # a log's clock is its recording times, which may lie before the stamps
+        if self._is_live:
+            self._watch.add(name, stamp, now, view.depth is not None)
+            if view.depth is not None and not self._topics[name].is_depth_aligned:
+                self._watch.add_depth_frame(name, view.depth.header.frame_id, view.colour.header.frame_id)
+        else:  # a log's clock is its recording times, which may lie before the stamps
             by_the_cells = stamp - self._clocks_apart.get(name, 0)
             now = max(now, by_the_cells - self._set_ahead.ahead_ns(name, by_the_cells, now))
         self._take(self._synchronizer.add(name, stamp, view, now), now)
