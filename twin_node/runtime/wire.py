@@ -55,7 +55,7 @@ class Wire(Protocol):
         """Of all its nodes."""
 
     def publisher(self, node: str, topic: str, kind: TopicKind) -> Send:
-        """A function that sends messages of node `node` on `topic`; it may be called in any one thread at a time."""
+        """A function that sends messages of node `node` on `topic`; in any thread."""
 
     def subscribe(self, node: str, topic: str, kind: TopicKind, sink: Sink) -> Cancel:
         """Hands every message on `topic` to `sink` until cancelled; what is kept of a latched topic comes at once."""

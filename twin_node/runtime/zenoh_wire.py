@@ -79,8 +79,7 @@ class ZenohWire:
         if known is not None:
             return known
         sender = _Sender(send_here, lambda message: self._remote_publisher(node, topic, kind, message))
-        self._senders[node, topic] = sender
-        return sender
+        return self._senders.setdefault((node, topic), sender)
 
     def advertise(self, node: str, topic: str, kind: TopicKind) -> None:
         """Declares the publisher for other processes, which is else declared when something is sent."""
@@ -248,19 +247,24 @@ class ZenohWire:
 
 
 class _Sender:
-    """Sends to this process by reference, and to others, for whom a publisher is declared when it is first needed."""
+    """Sends to this process by reference, and to others, for whom a publisher is declared when it is first needed.
+
+    In any thread: what a player plays may be on a topic of its node's own (`/diagnostics`, `/rosout`).
+    """
 
     def __init__(self, send_here: Send, declare: Callable[[Any], _RemotePublisher]) -> None:
         """`declare(message)`: declares the publisher; what is encoded brings its own types."""
         self._send_here = send_here
         self._declare = declare
         self._there: _RemotePublisher | None = None
+        self._lock = threading.Lock()
 
     def there(self, message: Any = None) -> _RemotePublisher:
         """The publisher for other processes."""
-        if self._there is None:
-            self._there = self._declare(message)
-        return self._there
+        with self._lock:
+            if self._there is None:
+                self._there = self._declare(message)
+            return self._there
 
     def __call__(self, message: Any) -> None:
         there = self.there(message)
@@ -269,13 +273,14 @@ class _Sender:
 
 
 class _RemotePublisher:
-    """Serialises and puts, where anybody listens."""
+    """Serialises and puts, where anybody listens; in the order of its numbers, or what is put late is refused."""
 
     def __init__(self, publisher: Any, gid: bytes, latched: bool) -> None:
         self._publisher = publisher
         self._gid = gid
         self._latched = latched
         self._sequence = 0
+        self._lock = threading.Lock()
 
     @property
     def is_heard(self) -> bool:
@@ -283,11 +288,12 @@ class _RemotePublisher:
         return self._latched or bool(self._publisher.matching_status.matching)
 
     def __call__(self, message: Any) -> None:
-        self._sequence += 1
-        if not self.is_heard:
-            return
-        attachment = Attachment(self._sequence, time.time_ns(), self._gid).pack()
-        self._publisher.put(bytes(encoded(message).data), attachment=attachment)
+        with self._lock:
+            self._sequence += 1
+            if not self.is_heard:
+                return
+            attachment = Attachment(self._sequence, time.time_ns(), self._gid).pack()
+            self._publisher.put(bytes(encoded(message).data), attachment=attachment)
 
 
 class _Receiver:
