@@ -190,6 +190,16 @@ def test_the_clock_can_have_another_name(log: Path) -> None:
     assert theatre.wire.topics["/cell/clock"] == CLOCK_KIND
 
 
+@pytest.mark.parametrize("flags", [{"topics": ("/clock", "/a")}, {"remap": ("/time:=/clock",)}])
+def test_no_time_but_the_players_is_played_as_its_clock(tmp_path: Path, flags: dict[str, Any]) -> None:
+    """Time went to and fro between the two, and every node began anew again and again."""
+    logged = named(tmp_path / "log.mcap", "/a", "/clock", "/time")
+    with pytest.raises(GraphError, match=r"no topic of the log has, found /clock, as which /(clock|time) is to be"):
+        Theatre(logged, clock=100.0, **flags)
+    Theatre(logged, clock=100.0)
+    Theatre(logged, topics=("/clock", "/a"))
+
+
 def test_a_loop_begins_again_and_its_clock_goes_back(log: Path) -> None:
     theatre = Theatre(log, loop=True, clock=40.0)
     theatre.begin()

@@ -258,11 +258,12 @@ def _names(log: LogReader, parameters: PlayParameters, say: Callable[[str], None
             say(f"not played: {line}")
     free = held.keys() - unfit.keys() - orders.keys() - ({CLOCK} if parameters.clock else set())
     names = {held[name].name: remaps.get(name, name) for name in asked or sorted(free)}
-    clock = remaps.get(CLOCK)
+    clock = remaps.get(CLOCK, CLOCK)
     if parameters.clock and clock in names.values():
+        played = next(own for own, name in names.items() if name == clock)
         raise GraphError(
-            f"{log.path}: expected a name for the clock that no topic of the log has, found {clock}; remap {CLOCK} to "
-            "another"
+            f"{log.path}: expected a name for the clock that no topic of the log has, found {clock}, as which {played} "
+            f"is to be played; leave that out, or remap {CLOCK} to another"
         )
     _check_types(log, names)
     return names
