@@ -403,6 +403,9 @@ def test_parameter_files_that_ship_are_found_from_anywhere(
 def test_arguments_begin_at_home(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     assert read_launch_file(small, ["log:=~/a.mcap"]).sections["player"]["log"] == str(tmp_path / "a.mcap")
+    given = ["recorder.output:=~/run", "recorder.topics:=[~/a]"]
+    sections = read_launch_file(small, ["log:=a.mcap"], given).sections
+    assert sections["recorder"] == {"output": str(tmp_path / "run"), "topics": ["~/a"]}
 
 
 def test_arguments_for_which_nothing_runs_are_told(small: Path) -> None:

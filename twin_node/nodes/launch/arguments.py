@@ -125,14 +125,19 @@ def _typed(argument: Argument, text: str, path: Path) -> Any:
     """A value of the type of the argument's default; text where it has none."""
     _check_choice(argument, text, f"{path}: argument {argument.name}")
     kind = type(argument.default)
-    if kind in (str, type(None)):  # no shell fills in the home folder after `:=`
-        return str(Path(text).expanduser()) if text.startswith("~/") else text
+    if kind in (str, type(None)):
+        return with_home(text)
     value = parsed(text, f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     if kind is float:
         value = _as_float(value)
     if type(value) is not kind:
         raise GraphError(f"{path}: argument {argument.name}:={text}: expected {kind_in_words(kind)}")
     return value
+
+
+def with_home(value: Any) -> Any:
+    """A path below the user's home folder as a whole one, for no shell fills it in after `:=`; all else as it is."""
+    return str(Path(value).expanduser()) if isinstance(value, str) and value.startswith("~/") else value
 
 
 def _as_float(value: Any) -> Any:

@@ -18,6 +18,7 @@ from twin_node.nodes.launch.arguments import (
     substituted,
     table_of,
     values_given,
+    with_home,
 )
 from twin_node.nodes.launch.kinds import (
     CHAIN_SECTIONS,
@@ -215,7 +216,7 @@ def _set_parameters(sections: dict[str, dict[str, Any]], given: Sequence[str]) -
             inner = inner.setdefault(key, {})
             if not isinstance(inner, dict):
                 raise GraphError(f"-p {text}: expected keys and values under '{key}', found {told(inner)}")
-        inner[last] = parsed(value, f"-p {text}: expected a value")
+        inner[last] = with_home(parsed(value, f"-p {text}: expected a value"))
 
 
 def _check_takes_part(given: Sequence[str], entries: Mapping[str, Any], path: Path) -> None:
