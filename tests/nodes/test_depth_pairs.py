@@ -87,6 +87,12 @@ def test_a_clock_that_is_put_back_ends_no_pairing() -> None:
     assert told(found) == [(19 * PERIOD, 19 * PERIOD)]
 
 
+def test_an_image_of_before_a_clock_was_put_back_holds_none_up() -> None:
+    pairs = DepthPairs(TOLERANCE)
+    assert pairs.add_colour(colour(1)) == []
+    assert told(pairs.add_colour(colour(0))) == [(PERIOD, None)]
+
+
 def test_a_depth_that_has_failed_is_waited_for_no_longer_until_it_is_back() -> None:
     """Held back, each of the camera's images, and all others with it, would be a period older."""
     pairs = DepthPairs(TOLERANCE)

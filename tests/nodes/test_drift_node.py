@@ -112,6 +112,25 @@ def test_without_a_camera_to_trust_nothing_goes_on_and_diagnostics_do() -> None:
     assert header_stamp(told[-1]) > 3_000_000_000
 
 
+def test_without_its_newest_camera_no_set_goes_back() -> None:
+    """The other one's image of the same set may be older than what went on before."""
+    scene = np.random.default_rng(0).integers(0, 255, (24, 40, 3), dtype=np.uint8).repeat(5, 0).repeat(5, 1)
+    bus, passed = LocalBus(), list[FrameSet]()
+    node = DriftNode(bus, SteppedClock(), DriftParameters())
+    bus.subscribe(TRUSTED_FRAMES, passed.append)
+    node.configure()
+    node.activate()
+    for i in range(40):
+        shift, stamp = (3 if i >= 10 else 0), (i + 2) * 100_000_000
+        still, moved = (np.ascontiguousarray(scene[:96, at : at + 128]) for at in (0, shift))
+        frames = frames_of({"late": still, "right": moved}, stamp)
+        late = replace(frames.views[0], stamp=stamp - 150_000_000)
+        bus.publish(FRAMES, replace(frames, views=(late, *frames.views[1:])))
+    stamps = [frames.stamp for frames in passed]
+    assert len(passed[0].views) == 2 and len(passed[-1].views) == 1
+    assert stamps == sorted(stamps)
+
+
 def test_a_recording_whose_clock_begins_at_0_keeps_its_first_set() -> None:
     """So begin the stamps of imported videos that say how many frames there are per second."""
     bus, passed = LocalBus(), []

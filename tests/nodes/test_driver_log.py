@@ -9,6 +9,7 @@ import pytest
 from twin_node.bag import open_log
 from twin_node.messages import convert
 from twin_node.nodes.driver_log import DriverLog
+from twin_node.nodes.put_back import Arrivals, PutBackClock
 from twin_node.nodes.recorder import RecorderNode
 from twin_node.nodes.topics import DIAGNOSTICS, SEPARATION
 from twin_node.runtime.bus import LocalBus
@@ -98,3 +99,12 @@ def test_what_is_taken_away_is_all_of_it(recorded: Recorded, tmp_path: Path) -> 
     assert recorded.log.topics == (SEPARATION, DIAGNOSTICS)
     recorded.log.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_came_before_a_clock_was_put_back_begins_no_third_recording(tmp_path: Path) -> None:
+    """Where a disk stood still it may be written after what came since."""
+    said: list[str] = []
+    arrivals, put_back = Arrivals(), PutBackClock(tmp_path / "arm.mcap", said.append)
+    before, since = arrivals.at(START), arrivals.at(START - 5 * SECOND)
+    begun = [put_back.beside(came) is not None for came in (before, since, before, since)]
+    assert (begun, len(said)) == ([False, True, False, False], 1)

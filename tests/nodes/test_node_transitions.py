@@ -110,6 +110,18 @@ def test_a_deactivated_node_does_nothing_until_it_is_activated(bench: Bench) -> 
     assert bench.thread.error is None
 
 
+def test_nothing_ticks_of_a_node_whose_place_another_has_taken(bench: Bench) -> None:
+    bench.thread.begin_anew()
+    assert not bench.go(Transition.CONFIGURE)  # another one by now, and active
+    before, after = bench.nodes
+    before.ticked.clear()
+    for _ in range(4):
+        after.ticked.clear()
+        assert after.ticked.wait(WAIT_S)
+    assert not before.ticked.is_set()
+    bench.thread.stop()
+
+
 def test_whoever_launched_a_node_is_told_of_its_transitions(bench: Bench) -> None:
     """Somebody shut the arm's node down: it stood for good, and the launch had nothing to say of it."""
     bench.said.clear()
