@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from twin_node.cell import CellSource, Scenario, SimulatedRig
+from twin_node.cell import CellError, CellSource, Scenario, SimulatedRig
 from twin_node.cell.rendering import Rendering
 from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
 from twin_node.cell.sensor import LENS_SIGMA_PX, sense
@@ -185,6 +185,15 @@ def test_unsorted_stamps_step_back(small: Scenario) -> None:
     assert np.diff(stamps).min() > -UNSORTED_STEP_NS
     true = [s.views[1].stamp for s in CellSource(small)]
     assert set(np.subtract(true, stamps)) == {0, UNSORTED_STEP_NS}
+
+
+def test_a_clock_that_begins_near_0_may_have_unsorted_stamps(small: Scenario) -> None:
+    """The first image is stamped rightly, and the scenario was refused as if it were early, too."""
+    early = replace(small, sensing=replace(small.sensing, jitter_ms=0.0, rate_hz=30.0), duration_s=0.2, start_ns=0)
+    stamps = [s.views[1].stamp for s in CellSource(faulty(early, "unsorted_stamps"))]
+    assert 0 <= stamps[1] < stamps[0]
+    with pytest.raises(CellError, match="expected stamps from 0 ns on"):
+        faulty(replace(early, sensing=replace(early.sensing, rate_hz=60.0)), "unsorted_stamps")
 
 
 def test_nan_depth_never_passes_the_source(small: Scenario) -> None:

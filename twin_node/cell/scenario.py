@@ -342,8 +342,10 @@ class Scenario:
         sensing = self.sensing
         unsorted = {fault.camera for fault in self.faults if fault.kind == "unsorted_stamps"}
         for camera in self.cameras:
-            first_ms = 500 / sensing.rate_hz + camera.skew_ms - 3 * sensing.jitter_ms
-            first_ms -= UNSORTED_STEP_NS / 1e6 if camera.name in unsorted else 0
+            first_ms = 500 / sensing.rate_hz
+            if camera.name in unsorted:  # of two images the second
+                first_ms = min(first_ms, 1500 / sensing.rate_hz - UNSORTED_STEP_NS / 1e6)
+            first_ms += camera.skew_ms - 3 * sensing.jitter_ms
             if self.start_ns + first_ms * 1e6 < 0:
                 raise CellError(
                     f"{where}: camera '{camera.name}': expected stamps from 0 ns on, found skew_ms {camera.skew_ms:g} "
