@@ -110,6 +110,21 @@ def test_a_deactivated_node_does_nothing_until_it_is_activated(bench: Bench) -> 
     assert bench.thread.error is None
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_node_that_somebody_has_led_before_its_launch_activates_it_is_none_that_fails(
+    bench: Bench, again: bool
+) -> None:
+    """Cleaned up while other processes loaded it ended in an assertion; configured again it was active and deaf."""
+    for transition in (Transition.DEACTIVATE, Transition.CLEANUP, *([Transition.CONFIGURE] if again else [])):
+        assert bench.go(transition)
+    bench.thread.activate()
+    assert not bench.go(Transition.CLEANUP)  # its place is behind the launch's order
+    assert bench.thread.lifecycle is (LifecycleState.ACTIVE if again else LifecycleState.UNCONFIGURED)
+    assert not again or bench.is_heard(WAIT_S)
+    bench.thread.stop()
+    assert bench.thread.error is None
+
+
 def test_nothing_ticks_of_a_node_whose_place_another_has_taken(bench: Bench) -> None:
     bench.thread.begin_anew()
     assert not bench.go(Transition.CONFIGURE)  # another one by now, and active

@@ -169,9 +169,14 @@ class NodeThread:
         return self._node
 
     def _activate(self) -> None:
-        if self._made.state is LifecycleState.INACTIVE:
-            self._made.activate()
-            self.has_begun = True
+        """Nothing where somebody has activated it, or cleaned it up, before the launch did."""
+        if self.lifecycle is not LifecycleState.INACTIVE:
+            return
+        if self._is_deaf:
+            self._forget()
+            self._begin()
+        self._made.activate()
+        self.has_begun = True
 
     def _remake(self) -> None:
         if self._node is None or self._is_deaf:
@@ -222,9 +227,6 @@ class NodeThread:
         elif transition is Transition.CLEANUP:
             self._forget()
         elif transition is Transition.ACTIVATE:
-            if self._is_deaf:
-                self._forget()
-                self._begin()
             self._activate()
         elif transition is Transition.DEACTIVATE:
             self._made.deactivate()
