@@ -98,6 +98,22 @@ def test_a_topic_with_another_name_on_the_graph_is_recorded_under_that(
         assert [(entry.topic, entry.message.data) for entry in log.messages()] == [("/left/note", "of the left arm")]
 
 
+@pytest.mark.parametrize(("topics", "remaps"), [((DIAGNOSTICS,) * 2, {}), ((DIAGNOSTICS, "/d"), {"/d": DIAGNOSTICS})])
+def test_a_topic_that_is_asked_for_twice_is_recorded_once(
+    tmp_path: Path, topics: tuple[str, ...], remaps: dict[str, str]
+) -> None:
+    """Each of its messages was in the log twice."""
+    studio = Studio(tmp_path / "run.mcap", SystemClock(), topics=topics, remaps=remaps)
+    who = NodeIdentity("1", 1, "somebody")
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    studio.graph = (Endpoint(EntityKind.PUBLISHER, who, 1, DIAGNOSTICS, kind, "RIHS01_0", Qos()),)
+    studio.step()
+    studio.hear_diagnostics()
+    studio.end()
+    with open_log(tmp_path / "run.mcap") as log:
+        assert [entry.topic for entry in log.messages()] == [DIAGNOSTICS]
+
+
 def test_what_a_slow_disk_has_cost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin_node.nodes.live.recorder.FLUSH_TIMER_S", 0.001)
     monkeypatch.setattr("twin_node.nodes.live.recorder.EVERY", Qos(depth=2))

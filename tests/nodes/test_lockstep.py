@@ -49,11 +49,13 @@ def test_topics_of_a_foreign_log_are_renamed(cell_log: Callable[..., Path]) -> N
 
 def test_the_recorders_topics_are_heeded(cell_log: Callable[..., Path], tmp_path: Path) -> None:
     output = tmp_path / "out.mcap"
-    recorder = {"output": str(output), "topics": [SEPARATION, JOINT_STATES]}
+    recorder = {"output": str(output), "topics": [SEPARATION, JOINT_STATES, SEPARATION]}
     sections = {**SMALL, "player": {"log": str(cell_log(0.4)), "playback_duration": 0.15}, "recorder": recorder}
     run_in_lockstep(sections, "test", threading.Event(), print)
     with open_log(output) as log:
         assert {topic.name for topic in log.topics} == {SEPARATION, JOINT_STATES}
+        told = [bytes(message.data) for message in log.messages(SEPARATION)]
+    assert len(told) == len(set(told)), "what is named twice is written once"
 
 
 def test_what_is_said_of_every_node_is_said_of_player_and_recorder(

@@ -25,7 +25,7 @@ class RecorderNode(Node):
         """`is_live`: messages are of when they come, whatever they are stamped with: it may be by another clock."""
         super().__init__("recorder", bus, clock)
         self._log = log
-        self._topics = tuple(topics)
+        self._topics = tuple(dict.fromkeys(topics))
         self._is_live = is_live
 
     def on_configure(self) -> None:

@@ -73,7 +73,9 @@ class LiveRecorderNode(Node):
         super().__init__(setup.name, setup.bus, setup.clock)
         self._bus = setup.bus
         self._timers = setup.timers
-        self._topics: Sequence[str] = () if parameters.all else parameters.topics
+        asked = () if parameters.all else parameters.topics
+        self._topics: Sequence[str] = tuple({self._bus.resolved(topic): topic for topic in asked}.values())
+        """Each of the graph's once, by whatever names it was asked for."""
         self._is_all = parameters.all
         self._endpoints = setup.endpoints
         self._say = setup.say
