@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from importlib.machinery import ExtensionFileLoader
@@ -135,6 +136,16 @@ def test_output_of_a_closed_stream_goes_nowhere(monkeypatch: pytest.MonkeyPatch,
     with LogWriter(tmp_path / "log.mcap") as log:
         log.write("/a", message_type("std_msgs/msg/String")(data="a"), 0)
     assert cli.main(["info", str(tmp_path / "log.mcap")]) == 0
+
+
+def test_nobody_presses_enter_at_a_closed_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by `<&-`: `play` and `ur-driver`, which look there for Enter, ended in a trace, the latter while it drove."""
+    looked: list[str] = []
+    monkeypatch.setattr("sys.stdin", None)
+    monkeypatch.setattr("twin_node.cli.logs._info", lambda _options: looked.append(sys.stdin.readline()))
+    assert cli.main(["info", "log.mcap"]) == 0
+    assert looked == [""]
+    assert not sys.stdin.isatty()
 
 
 @pytest.mark.parametrize(("before", "interrupts"), [(signal.SIG_DFL, 2), (signal.SIG_IGN, 0)])

@@ -89,7 +89,9 @@ def _warnings_in_words() -> Iterator[None]:
 
 
 def _replace_closed() -> None:
-    """What was closed by who started us (`>&-`) leads nowhere, and not into the next file that is opened."""
+    """What was closed by who started us (`<&-`, `>&-`) leads nowhere, and not to the next file that is opened."""
+    if sys.stdin is None:
+        sys.stdin = os.fdopen(os.open(os.devnull, os.O_RDONLY), encoding="utf-8")
     if sys.stdout is None:
         sys.stdout = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
     if sys.stderr is None:
