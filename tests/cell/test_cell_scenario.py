@@ -8,6 +8,7 @@ import yaml
 
 from twin_node import resources
 from twin_node.cell import CellError, load_scenario
+from twin_node.cell.shapes import cubes_meet
 from twin_node.cell.world import World
 from twin_node.errors import TwinError
 from twin_node.resources import ResourceError
@@ -27,6 +28,20 @@ def test_every_scenario_that_ships_loads(path: Path) -> None:
     scenario = load_scenario(path)
     assert scenario.cameras
     assert World(scenario).static
+
+
+@pytest.mark.parametrize("name", ["demo", "conveyor", "thrown_ball"])
+def test_what_is_put_or_thrown_on_the_conveyor_stays_out_of_it(name: str) -> None:
+    """The ball did not roll off it, but went on through it and the table."""
+    scenario = load_scenario(name)
+    slack_m, step_ns = 0.004, 10_000_000  # a parcel lies within a millimetre of it
+    solid = [part.placed for part in World(scenario).static]
+    for body in scenario.bodies:
+        for step in range(round(scenario.duration_s * 1e9 / step_ns)):
+            for part in body.parts:
+                within = part.shape.half_extents.min() - slack_m
+                centre = (body.path.pose(step * step_ns * 1e-9) @ part.T_body_part)[None, :3, 3]
+                assert not any(cubes_meet(one, centre, within / np.sqrt(3))[0] for one in solid), (body.name, step)
 
 
 def test_a_scenario_is_found_by_its_bare_name() -> None:
