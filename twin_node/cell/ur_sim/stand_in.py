@@ -197,9 +197,9 @@ class StandIn:
     async def _begin_anew(self, after_s: float) -> None:
         self._restart_s = None
         self._close()
-        await asyncio.sleep(after_s)
-        self.controller = Controller(self.parameters.controller)
+        self.controller = Controller(self.parameters.controller)  # what is done to it meanwhile holds when it is back
         self.faults = Faults()
+        await asyncio.sleep(after_s)
         await self._open()
 
     async def _open(self) -> None:
