@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ import pytest
 
 from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim import ControllerParameters, StandInParameters, StandInProcess, free_loopback
+from twin_node.cell.ur_sim.rtde_wire import Kind, encode
 from twin_node.cli import main
 
 rtde_receive = pytest.importorskip("rtde_receive", reason="ur_rtde is not installed (extra 'ur')")
@@ -229,6 +231,14 @@ def test_bytes_that_are_no_rtde_cost_only_their_own_connection(stand_in: StandIn
                 assert connection.recv(100) == b""
     told = receive.getTimestamp()
     eventually(lambda: receive.getTimestamp() > told)
+
+
+def test_versions_of_the_protocol_that_it_does_not_speak_are_refused(stand_in: StandInProcess) -> None:
+    """The first one was granted, and who spoke it dropped at its next package."""
+    with socket.create_connection((stand_in.host, 30004), timeout=PATIENCE_S) as connection:
+        for version, is_granted in ((1, False), (2, True), (3, False)):
+            connection.sendall(encode(Kind.REQUEST_PROTOCOL_VERSION, struct.pack(">H", version)))
+            assert connection.recv(100) == encode(Kind.REQUEST_PROTOCOL_VERSION, bytes([is_granted]))
 
 
 def test_a_taken_address_is_named(stand_in: StandInProcess, refused: Callable[..., str]) -> None:

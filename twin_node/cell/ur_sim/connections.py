@@ -17,7 +17,8 @@ from twin_node.cell.ur_sim.rtde_wire import InputRecipe, Kind, OutputRecipe, Pac
 
 _MOST_UNSENT = 65536
 """Bytes that may wait for a client that reads slowly; further packages are left out, as the controller does."""
-_PROTOCOLS = (1, 2)
+_PROTOCOL = 2
+"""Version of RTDE; packages of the first one are laid out otherwise."""
 
 
 class Served(Protocol):
@@ -107,7 +108,7 @@ class RtdeConnection(Connection):
         if package.kind == Kind.DATA_PACKAGE:
             self._take(package.payload)
         elif package.kind == Kind.REQUEST_PROTOCOL_VERSION:
-            self._answer(Kind.REQUEST_PROTOCOL_VERSION, struct.unpack(">H", package.payload)[0] in _PROTOCOLS)
+            self._answer(Kind.REQUEST_PROTOCOL_VERSION, struct.unpack(">H", package.payload)[0] == _PROTOCOL)
         elif package.kind == Kind.GET_URCONTROL_VERSION:
             self.send(encode(Kind.GET_URCONTROL_VERSION, struct.pack(">4I", *self.stand_in.version, 0)))
         elif package.kind == Kind.SETUP_OUTPUTS:
