@@ -253,6 +253,14 @@ def test_a_queue_that_holds_nothing(number: str, capsys: pytest.CaptureFixture[s
     assert f"argument --read-ahead-queue-size: {number}: expected a" in capsys.readouterr().err
 
 
+def test_more_than_anybody_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    """As who types nines for all of them: loops took no such number, and the command ended in a trace."""
+    with pytest.raises(SystemExit) as exit_:
+        main(["train", "no.mcap", "-o", "model.safetensors", "--frames", "9" * 20])
+    assert exit_.value.code == 2
+    assert "expected a whole number, 1 to 1e+18" in capsys.readouterr().err
+
+
 def test_a_full_disk_that_takes_no_more_output_is_named() -> None:
     """A driver whose log filled the disk ended with a traceback."""
     with Path("/dev/full").open("w") as full:

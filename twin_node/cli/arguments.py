@@ -32,6 +32,9 @@ RATES = Range(0.001, 1000)
 SPEEDS = Range(0.001, 1000)
 """Of clocks, by the recording's: at the least a camera of 15 Hz has an image a minute."""
 
+COUNTS = Range(1, 10**18)
+"""Of what is counted one by one: Python's loops take no more than 63 bits."""
+
 SEEDS = Range(0, 2**63 - 1024)
 """Up to the last that is a float below 2**63, which torch does not take."""
 
@@ -122,8 +125,8 @@ def finite(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """A whole number of 1 or more."""
-    return _whole_within(text, Range(1), "a whole number, 1 or more")
+    """A number of things."""
+    return _whole_within(text, COUNTS, f"a whole number, {COUNTS}")
 
 
 def seed(text: str) -> int:
