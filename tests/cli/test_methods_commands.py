@@ -146,6 +146,8 @@ def test_wrong_training_input(
     assert "--method" in refused("train", log, "-o", out, "--resume", checkpoint, "--method", "hash")
     assert "trained on" in refused("train", log, "-o", out, "--resume", checkpoint, "--frames", 2, "--width", 48)
     assert "safetensors" in refused("train", log, "-o", out, "--resume", log, "--frames", 2, "--width", 48)
+    fewer = ("--resume", checkpoint, "--steps", 1)  # told before any image is read
+    assert "expected 4 steps or more" in refused("train", tmp_path / "gone", "-o", out, *fewer)
     for wrong in (out.with_suffix(""), out.with_suffix(".foo")):
         assert f"-o {wrong}: expected a name that ends in .safetensors" in refused(
             "train", tmp_path / "gone", "-o", wrong

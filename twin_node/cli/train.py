@@ -139,7 +139,7 @@ def _trainer_of(options: argparse.Namespace) -> Callable[[Recording], Trainer]:
         why = f"expected without --resume, which goes on as {options.resume} began"
         refuse_given(options, ("method", "seed", "gaussians"), why)
         checkpoint = load_checkpoint(options.resume)
-        usable_device(options.device or checkpoint.header.parameters.device)
+        usable_device(checkpoint.continued(options.steps, options.device).device)
         return lambda recording: checkpoint.resume(recording, options.steps, options.device)
     parameters = with_given(
         TrainParameters(),

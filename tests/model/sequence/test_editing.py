@@ -92,11 +92,14 @@ def test_what_is_recoloured_has_the_colour_in_the_mean(checkpoint: Checkpoint, t
     np.testing.assert_array_equal(after[~own], before[~own])
 
 
-def test_an_edited_model_is_not_trained_on(checkpoint: Checkpoint, tmp_path: Path) -> None:
+def test_an_edited_model_is_not_trained_on(checkpoint: Checkpoint, tmp_path: Path, refused: Callable[..., str]) -> None:
     """Its images would undo the edit."""
-    done = edit(checkpoint.path, tmp_path / "out.safetensors", half(checkpoint, TIMES[0]), "--remove")
+    out = tmp_path / "out.safetensors"
+    done = edit(checkpoint.path, out, half(checkpoint, TIMES[0]), "--remove")
     with pytest.raises(ModelError, match="was edited; go on from the checkpoint"):
         done.resume(RECORDING)
+    told = refused("train", tmp_path / "gone", "--resume", out, "-o", tmp_path / "more.safetensors")
+    assert "was edited; go on from the checkpoint" in told  # before any image is read
 
 
 @pytest.mark.parametrize(

@@ -109,15 +109,33 @@ class Checkpoint:
         """What the field spans."""
         return Box(self.tensors["box.lower"], self.tensors["box.upper"])
 
+    def continued(self, steps: int | None = None, device: str | None = None) -> TrainParameters:
+        """What training goes on by: with `steps` and on the `device` in place of the checkpoint's own.
+
+        Raises `ModelError` for fewer steps than were taken, and for a checkpoint that was edited: its images do not
+        show what it does.
+        """
+        if HOMES in self.tensors:
+            raise ModelError(f"{self.path}: was edited; go on from the checkpoint that it was made of, and edit again")
+        parameters = self.header.parameters
+        if steps is not None:
+            share = parameters.coarse_steps / steps  # the static stage stays as long as it was
+            parameters = dataclasses.replace(parameters, steps=steps, coarse_share=share)
+        if parameters.all_steps < self.header.step:
+            taken = self.header.step - parameters.coarse_steps
+            raise ModelError(
+                f"{self.path}: expected {taken} steps or more, for it has taken so many, found {steps}; give more, or "
+                "begin anew for fewer"
+            )
+        return parameters if device is None else dataclasses.replace(parameters, device=device)
+
     def resume(self, recording: Recording, steps: int | None = None, device: str | None = None) -> Trainer:
         """The trainer as it was when it was saved; with `steps` and on the `device` in place of the checkpoint's own.
 
-        Raises `ModelError` where the recording is not the one that was trained on, for a device that is not there, for
-        fewer steps than were taken, and for a checkpoint that was edited: its images do not show what it does.
+        Raises `ModelError` where the recording is not the one that was trained on, for a device that is not there, and
+        as `continued` does.
         """
-        header = self.header
-        if HOMES in self.tensors:
-            raise ModelError(f"{self.path}: was edited; go on from the checkpoint that it was made of, and edit again")
+        header, parameters = self.header, self.continued(steps, device)
         found = tuple(sorted({view.stamp for view in recording.train}))
         if len(recording.train) != header.images or found != header.stamps:
             raise ModelError(
@@ -126,18 +144,6 @@ class Checkpoint:
                 "give the same data, --hold-out and --frames"
             )
         self._check_cameras(recording)
-        parameters = header.parameters
-        if steps is not None:
-            share = parameters.coarse_steps / steps  # the static stage stays as long as it was
-            parameters = dataclasses.replace(parameters, steps=steps, coarse_share=share)
-        if parameters.all_steps < header.step:
-            taken = header.step - parameters.coarse_steps
-            raise ModelError(
-                f"{self.path}: expected {taken} steps or more, for it has taken so many, found {steps}; give more, or "
-                "begin anew for fewer"
-            )
-        if device is not None:
-            parameters = dataclasses.replace(parameters, device=device)
         trainer = Trainer(recording, parameters, self.stored, self.box)
         trainer.step = header.step
         trainer.model.gaussians.restore(self._part("adam."))
