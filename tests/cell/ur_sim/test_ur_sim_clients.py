@@ -11,11 +11,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from twin_node import resources
 from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim import ControllerParameters, StandInParameters, StandInProcess, free_loopback
 from twin_node.cell.ur_sim.rtde_wire import Kind, encode
@@ -290,6 +292,16 @@ def test_wrong_options_are_one_line_and_status_2(
     err = capsys.readouterr().err
     assert word in err
     assert err.count("\n") == 1
+
+
+def test_an_arm_of_more_joints_than_rtde_tells_of_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    """Its first period ended in a trace: `--model` takes files, too."""
+    arm = resources.find("sim/ur5e.xml").read_text(encoding="utf-8")
+    finger = '<body name="finger"><joint name="finger_joint" range="0 1"/><geom type="sphere" size="0.01"/></body>'
+    at = arm.index("</body>")
+    (tmp_path / "seven.xml").write_text(arm[:at] + finger + arm[at:])
+    told = refused("ur-sim", "--host", free_loopback(), "--model", tmp_path / "seven.xml")
+    assert "expected an arm of 6 joints, as RTDE tells of, found 7; choose one of ur3e" in told
 
 
 @pytest.mark.parametrize(

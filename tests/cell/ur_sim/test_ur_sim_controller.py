@@ -379,24 +379,6 @@ def test_what_is_raised_in_a_period_ends_the_stand_in(monkeypatch: pytest.Monkey
         asyncio.run(stand_in.run(lambda: None))
 
 
-def test_what_is_done_to_it_while_it_is_away_holds_when_it_is_back() -> None:
-    """Every such fault was answered with "ok", and gone: the button that somebody had pressed was not."""
-
-    async def restart() -> StandIn:
-        stand_in = StandIn(StandInParameters(host=free_loopback(), admin_port=None))
-        away = asyncio.ensure_future(stand_in._begin_anew(0.01))
-        await asyncio.sleep(0)
-        for line in ("nan", "e-stop"):
-            switch(stand_in, line)
-        await away
-        stand_in._close()
-        return stand_in
-
-    back = asyncio.run(restart())
-    assert back.faults.sends_nan
-    assert back.controller.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP
-
-
 @pytest.mark.parametrize("line", ["slow abc", "slow 0", "restart -1", "claim nonsense", "release nonsense"])
 def test_a_fault_of_the_start_is_read_at_once(line: str) -> None:
     """When its time comes there is nobody to tell: the stand-in went on without it, and a test of it passed."""

@@ -11,14 +11,17 @@ from typing import Protocol
 import numpy as np
 
 from twin_node.arm import CyclicPath, default_path
+from twin_node.cell.errors import CellError
 from twin_node.cell.ur_sim.motions import Hold, Motion, Target
 from twin_node.cell.ur_sim.registers import Inputs, Outputs
 from twin_node.cell.ur_sim.simulated_arm import SimulatedArm
 from twin_node.cell.ur_sim.states import Event, RobotMode, RuntimeState, SafetyMode
 from twin_node.cell.ur_sim.watchdogs import Watchdog, WatchdogAction, Watchdogs
-from twin_node.robot import ArmModel, ur_model
+from twin_node.robot import UR_NAMES, ArmModel, ur_model
 from twin_node.scene import Float64
 
+JOINTS = 6
+"""Of which RTDE tells, and all arms of UR have."""
 PERIOD_S = 0.002
 """The e-Series' control period: 500 Hz."""
 _SLOWING_PER_S = 5.0
@@ -41,6 +44,15 @@ class ControllerParameters:
     """What the own program calls `rtde_set_watchdog` with."""
     unlock_delay_s: float = 5.0
     """A protective stop cannot be unlocked sooner (user manual)."""
+
+    def __post_init__(self) -> None:
+        """Raises `CellError` for an arm that no UR controller moves."""
+        count = len(self.model.joint_names)
+        if count != JOINTS:
+            raise CellError(
+                f"{self.model.name}: expected an arm of {JOINTS} joints, as RTDE tells of, found {count}; "
+                f"choose one of {', '.join(UR_NAMES)}"
+            )
 
 
 class Program(Protocol):
