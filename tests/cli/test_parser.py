@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from twin_node import cli
 from twin_node.cli import main
 from twin_node.cli.arguments import file_to_write, finite
 from twin_node.cli.parser import Parser, with_home
@@ -48,6 +49,37 @@ def test_paths_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert options.report == tmp_path / "run"
     assert options.logs == [tmp_path / "a.mcap", Path("~b.mcap"), Path("c/~")]
     assert file_to_write("~/film.mp4") == tmp_path / "film.mp4"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["export", "a.mcap", "--to", "csv", "-o", "out"], "--arm"),
+        (["ur-driver", "--robot", "127.0.0.2"], "--model"),
+        (["ur-driver", "--robot", "127.0.0.2"], "--kinematics"),
+        (["ur-sim"], "--model"),
+        (["ur-sim"], "--kinematics"),
+        (["calibrate", "intrinsics", "pictures"], "--board"),
+        (["calibrate", "rig", "folder", "-o", "rig.yaml"], "--board"),
+        (["calibrate", "check", "rig.yaml"], "--board"),
+        (["calibrate", "check", "rig.yaml"], "--arm"),
+        (["calibrate", "report", "rig.yaml", "-o", "page.html"], "--board"),
+        (["calibrate", "hand-eye", "views"], "--board"),
+        (["calibrate", "hand-eye", "views"], "--arm"),
+        (["calibrate", "refine", "a.mcap", "-o", "rig.yaml"], "--arm"),
+        (["calibrate", "time", "a.mcap"], "--arm"),
+        (["bench", "graph"], "--scenario"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_what_may_be_a_file_or_a_name_begins_at_home_too(
+    arguments: list[str], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`--model=~/arm.xml` was no file."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for given, meant in (("~/arm.xml", str(tmp_path / "arm.xml")), ("ur5e", "ur5e"), ("./a//b", "./a//b")):
+        options = cli._parser().parse_args([*arguments, f"{name}={given}"])
+        assert getattr(options, name.removeprefix("--")) == meant
 
 
 def test_a_name_that_the_terminal_has_no_letters_for_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

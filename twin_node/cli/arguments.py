@@ -74,7 +74,9 @@ def add_remap(parser: argparse.ArgumentParser) -> None:
 
 def add_arm(parser: argparse.ArgumentParser) -> None:
     """Which arm's joints a log has, by its name or as the twin was told."""
-    parser.add_argument("--arm", metavar="ARM", help=f"arm of the joints in the log (default {DEFAULT_ARM})")
+    parser.add_argument(
+        "--arm", type=file_or_name, metavar="ARM", help=f"arm of the joints in the log (default {DEFAULT_ARM})"
+    )
     parser.add_argument(
         "--params", type=Path, metavar="FILE.yaml", help="ROS parameter file that says which arm it is, and its tool"
     )
@@ -167,6 +169,11 @@ def _whole_within(text: str, allowed: Range, expected: str) -> int:
     if value != int(value) or not allowed.holds(value):
         raise argparse.ArgumentTypeError(f"{text}: expected {expected}")
     return int(value)
+
+
+def file_or_name(text: str) -> str:
+    """What may be a file, or a name that is none: a file's may begin with `~`, as a path's may."""
+    return str(at_home(Path(text))) if text.startswith("~/") else text
 
 
 def file_to_write(text: str) -> Path:

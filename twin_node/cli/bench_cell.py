@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import given_of, not_negative, positive, whole, with_given
+from twin_node.cli.arguments import file_or_name, given_of, not_negative, positive, whole, with_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.progress import over
 from twin_node.json_text import json_text
@@ -34,7 +34,11 @@ def add_bench_cell(benches: Any) -> None:
     """Adds `bench cell`."""
     cell = benches.add_parser("cell", help="an arm at work beside people, in closed loop and simulated time")
     cell.add_argument(
-        "scenarios", nargs="+", metavar="SCENARIO", help="scenario files or names below sim/; 'all' for the whole suite"
+        "scenarios",
+        type=file_or_name,
+        nargs="+",
+        metavar="SCENARIO",
+        help="scenario files or names below sim/; 'all' for the whole suite",
     )
     cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
     cell.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import positive, whole
+from twin_node.cli.arguments import file_or_name, positive, whole
 from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
@@ -46,7 +46,11 @@ def add_bench_graph(benches: Any) -> None:
         "--live-seconds", type=positive, default=90.0, metavar="S", help="how long the arm is watched (default 90)"
     )
     graph.add_argument(
-        "--scenario", default="demo", metavar="SCENARIO", help="what `live` launches, a scenario of sim/ (default demo)"
+        "--scenario",
+        type=file_or_name,
+        default="demo",
+        metavar="SCENARIO",
+        help="what `live` launches, a scenario of sim/ (default demo)",
     )
     graph.add_argument(
         "--size", default="auto", metavar="SIZE", help="of the model that `live` launches (default auto: it finds out)"

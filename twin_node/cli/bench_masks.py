@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import positive, whole, width
+from twin_node.cli.arguments import file_or_name, positive, whole, width
 from twin_node.cli.output import add_json
 from twin_node.cli.progress import over
 from twin_node.json_text import json_text
@@ -16,7 +16,12 @@ from twin_node.json_text import json_text
 def add_bench_masks(benches: Any) -> None:
     """Adds `bench masks`."""
     masks = benches.add_parser("masks", help="the moving masks alone, beside what truly moves in a simulated cell")
-    masks.add_argument("scenario", metavar="SCENARIO", help="a scenario file or name below sim/; 'all': four of them")
+    masks.add_argument(
+        "scenario",
+        type=file_or_name,
+        metavar="SCENARIO",
+        help="a scenario file or name below sim/; 'all': four of them",
+    )
     masks.add_argument("--seeds", type=whole, default=1, metavar="N", help="seeds per scenario (default 1)")
     masks.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")
     masks.add_argument(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import refuse_given, whole, width, with_given
+from twin_node.cli.arguments import file_or_name, refuse_given, whole, width, with_given
 from twin_node.cli.output import add_json
 from twin_node.json_text import json_text
 
@@ -27,7 +27,12 @@ def add_methods(benches: Any) -> None:
     """Adds `methods` to the benches."""
     methods = benches.add_parser("methods", help="all methods on the same images: quality, time, size, tracks")
     methods.add_argument(
-        "data", nargs="?", default=MADE_UP, metavar="DATA", help="log or data set folder (default: a made-up scene)"
+        "data",
+        type=file_or_name,
+        nargs="?",
+        default=MADE_UP,
+        metavar="DATA",
+        help="log or data set folder (default: a made-up scene)",
     )
     methods.add_argument("--quick", action="store_true", help="small and short: shows that all methods run")
     methods.add_argument("--methods", metavar="A,B", help="only these; a wrong name lists them all")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import file_to_write, not_negative, refuse_given, whole
+from twin_node.cli.arguments import file_or_name, file_to_write, not_negative, refuse_given, whole
 from twin_node.cli.calibrate_files import (
     add_board,
     add_check,
@@ -63,7 +63,7 @@ def add_intrinsics(kinds: Any) -> None:
     """Adds `calibrate intrinsics`."""
     parser = kinds.add_parser("intrinsics", help="one camera's lens, from pictures of a board")
     parser.add_argument("pictures", type=Path, nargs="+", metavar="IMAGE|VIDEO|DIR", help="pictures of the board")
-    parser.add_argument("--board", required=True, metavar="BOARD", help=BOARD_HELP)
+    parser.add_argument("--board", type=file_or_name, required=True, metavar="BOARD", help=BOARD_HELP)
     parser.add_argument("--model", choices=MODELS, default=MODELS[0], help="distortion model (equidistant: fisheye)")
     parser.add_argument("--every", type=whole, default=1, metavar="N", help="take every Nth frame of a video")
     parser.add_argument(
@@ -80,7 +80,7 @@ def add_rig(kinds: Any) -> None:
     parser.add_argument(
         "-o", "--output", type=file_to_write, required=True, metavar="RIG.yaml", help="rig file to write"
     )
-    parser.add_argument("--board", metavar="BOARD", help=f"where DIR holds none: {BOARD_HELP}")
+    parser.add_argument("--board", type=file_or_name, metavar="BOARD", help=f"where DIR holds none: {BOARD_HELP}")
     parser.add_argument("--model", choices=MODELS, help="distortion model (plumb_bob; equidistant: fisheye)")
     parser.add_argument("--lenses", type=Path, metavar="RIG.yaml", help="start from the lenses of this rig file")
     parser.add_argument("--fixed-lenses", action="store_true", help="do not refine lenses with the poses")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_remap, file_to_write, folder_to_write, positive, refuse_given
+from twin_node.cli.arguments import add_remap, file_or_name, file_to_write, folder_to_write, positive, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
 from twin_node.json_text import json_text
@@ -40,8 +40,10 @@ def add_check(kinds: Any) -> None:
     parser.add_argument(
         "recording", type=Path, nargs="?", metavar="LOG|DIR", help="a log, or recordings of a board as for `rig`"
     )
-    parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
-    parser.add_argument("--arm", metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF")
+    parser.add_argument("--board", type=file_or_name, metavar="BOARD", help="where DIR holds none")
+    parser.add_argument(
+        "--arm", type=file_or_name, metavar="ARM", help="the arm whose joints the log has: ur5e, a URDF or MJCF"
+    )
     parser.add_argument("--duration", type=positive, metavar="S", help=f"of the log to read (default {CHECK_S:g})")
     add_remap(parser)
     add_json(parser)
@@ -51,7 +53,9 @@ def add_check(kinds: Any) -> None:
 def add_board(kinds: Any) -> None:
     """Adds `calibrate board`."""
     parser = kinds.add_parser("board", help="a board to print at true scale")
-    parser.add_argument("board", metavar="BOARD", help="file, or text as charuco:6x5:0.04:0.03:DICT_4X4_50")
+    parser.add_argument(
+        "board", type=file_or_name, metavar="BOARD", help="file, or text as charuco:6x5:0.04:0.03:DICT_4X4_50"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAGE.pdf|.svg|.png", help="page to write")
     parser.set_defaults(run=_board_print)
 
@@ -82,7 +86,7 @@ def add_report(kinds: Any) -> None:
     parser = kinds.add_parser("report", help="a rig, its residuals and its coverage as one HTML page")
     parser.add_argument("rig", type=Path, metavar="RIG.yaml")
     parser.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="recordings of a board, as for `rig`")
-    parser.add_argument("--board", metavar="BOARD", help="where DIR holds none")
+    parser.add_argument("--board", type=file_or_name, metavar="BOARD", help="where DIR holds none")
     parser.add_argument("--before", type=Path, metavar="OLD.yaml", help="an earlier rig of the same cameras, beside it")
     parser.add_argument(
         "--pictures", type=folder_to_write, metavar="DIR", help="write its pictures as PNG files here, too"

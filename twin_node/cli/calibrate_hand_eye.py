@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import file_to_write, refuse_given
+from twin_node.cli.arguments import file_or_name, file_to_write, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 from twin_node.json_text import json_text
@@ -32,8 +32,10 @@ def add_hand_eye(kinds: Any) -> None:
     parser.add_argument("--mount", choices=("camera", "target"), default="camera", help="what the flange carries")
     parser.add_argument("--rig", type=Path, metavar="RIG.yaml", help="intrinsics; without it the folder's own")
     parser.add_argument("--camera", metavar="NAME", help="which camera of the rig file took the pictures")
-    parser.add_argument("--board", metavar="BOARD", help="the target; without it the folder's own")
-    parser.add_argument("--arm", metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file")
+    parser.add_argument("--board", type=file_or_name, metavar="BOARD", help="the target; without it the folder's own")
+    parser.add_argument(
+        "--arm", type=file_or_name, metavar="ARM", help="turns joints into flange poses: ur5e, or a URDF or MJCF file"
+    )
     parser.add_argument("--fixed-intrinsics", action="store_true", help="take the intrinsics as they are")
     parser.add_argument("--fixed-scale", action="store_true", help="take the board's size as it is")
     parser.add_argument("-o", "--output", type=file_to_write, metavar="RIG.yaml", help="rig file to write")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from twin_node.cli.arguments import add_log, add_part_options, file_to_write, positive, refuse_given
+from twin_node.cli.arguments import add_log, add_part_options, file_or_name, file_to_write, positive, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import today, write_rig
 from twin_node.json_text import json_text
@@ -68,7 +68,7 @@ def add_time(kinds: Any) -> None:
 
 def _add_clock_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-offset", type=positive, metavar="S", help="largest offset sought, seconds (0.15)")
-    parser.add_argument("--arm", metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
+    parser.add_argument("--arm", type=file_or_name, metavar="ARM", help="time against its joints: ur5e, a URDF or MJCF")
 
 
 def _refine(options: argparse.Namespace) -> None:

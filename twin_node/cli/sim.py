@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import given_of, positive, seed, width
+from twin_node.cli.arguments import file_or_name, given_of, positive, seed, width
 from twin_node.cli.progress import counted
 from twin_node.errors import TwinError
 
@@ -21,7 +21,7 @@ def add_sim(commands: Any) -> None:
         "occupancy. Without, it runs live: as 'twin_node launch launch/sim_cell.yaml scenario:=SCENARIO'. "
         "sim/README.md documents scenarios.",
     )
-    sim.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file, or name below sim/")
+    sim.add_argument("scenario", type=file_or_name, nargs="?", metavar="SCENARIO", help="file, or name below sim/")
     sim.add_argument("-o", "--output", type=Path, metavar="LOG.mcap", help="write a log")
     sim.add_argument("--list", action="store_true", help="list the scenarios that come with the package and end")
     sim.add_argument("--seed", type=seed, metavar="N", help="other noise, and other motion where it varies")

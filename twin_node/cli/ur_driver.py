@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_namespace, positive, whole
+from twin_node.cli.arguments import add_namespace, file_or_name, positive, whole
 
 if TYPE_CHECKING:
     from twin_node.arm.ur import UrParameters
@@ -60,11 +60,14 @@ def add_ur_driver(commands: Any) -> None:
     )
     parser.add_argument(
         "--model",
+        type=file_or_name,
         default="ur5e",
         metavar="ARM",
         help="ur3e, ur5e (default), ur7e, ur10e, ur12e, ur16e, or an MJCF or URDF file",
     )
-    parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
+    parser.add_argument(
+        "--kinematics", type=file_or_name, metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)"
+    )
     parser.add_argument(
         "--joints",
         nargs="+",

@@ -9,7 +9,7 @@ import re
 import signal
 from typing import Any
 
-from twin_node.cli.arguments import not_negative
+from twin_node.cli.arguments import file_or_name, not_negative
 
 _DESCRIPTION = """\
 A stand-in for a UR controller on a loopback address: RTDE (port 30004), dashboard (29999) and script ports (30001 to
@@ -40,9 +40,15 @@ def add_ur_sim(commands: Any) -> None:
     )
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="loopback address (default 127.0.0.1)")
     parser.add_argument(
-        "--model", default="ur5e", metavar="ARM", help="ur3e, ur5e (default), ur7e, ur10e, ur12e or ur16e"
+        "--model",
+        type=file_or_name,
+        default="ur5e",
+        metavar="ARM",
+        help="ur3e, ur5e (default), ur7e, ur10e, ur12e or ur16e",
     )
-    parser.add_argument("--kinematics", metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)")
+    parser.add_argument(
+        "--kinematics", type=file_or_name, metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)"
+    )
     parser.add_argument(
         "--polyscope",
         default="5.12.0",
