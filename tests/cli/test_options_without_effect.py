@@ -49,6 +49,17 @@ def poses(tmp_path: Path) -> Path:
         (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--arm", "ur5e"], "--arm", "expected with --time"),
         (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--width", "16"], "--width", "expected with --time"),
         (["calibrate", "refine", "x", "-o", "{poses}/r.yaml", "--max-offset", "1"], "--max-offset", "expected with --"),
+        (["ur-driver", "--robot", "x", "--mode", "servo", "--play"], "--play", "expected with --mode slider"),
+        (
+            ["ur-driver", "--robot", "x", "--mode", "read-only", "--register", "21"],
+            "--register",
+            "expected with --mode",
+        ),
+        (
+            ["ur-driver", "--robot", "x", "--mode", "read-only", "--resume"],
+            "--resume",
+            "expected with a mode in which halts",
+        ),
         (["record", "-a", "/tf", "/twin/status"], "--all", "expected instead of topics, found /tf, /twin/status too"),
     ],
 )

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_namespace, file_or_name, positive, whole
+from twin_node.cli.arguments import add_namespace, file_or_name, positive, refuse_given, whole, with_given
 
 if TYPE_CHECKING:
     from twin_node.arm.ur import UrParameters
@@ -75,7 +75,7 @@ def add_ur_driver(commands: Any) -> None:
         help="how its joints are called, from base to tool, where others have a prefix",
     )
     parser.add_argument(
-        "--register", type=whole, default=20, metavar="N", help="input register of the heartbeat, 18 to 22 (default 20)"
+        "--register", type=whole, metavar="N", help="input register of the heartbeat, 18 to 22 (default 20)"
     )
     parser.add_argument("--no-reconnect", action="store_true", help="end when the connection is lost")
     parser.add_argument("--resume", action="store_true", help="go on by itself when the cause of a halt is over")
@@ -94,6 +94,7 @@ def _run(options: argparse.Namespace) -> None:
     from twin_node.nodes.topics import DIAGNOSTICS, JOINT_STATES, SEPARATION, TRAJECTORY
     from twin_node.nodes.ur_driver import UrDriverNode
 
+    _refuse_of_other_modes(options)
     if options.output is not None and options.output.exists():
         raise ArmError(f"-o {options.output}: exists already; remove it or choose another name")
     if options.decisions is not None and options.namespace:
@@ -104,11 +105,11 @@ def _run(options: argparse.Namespace) -> None:
         kinematics=options.kinematics,
         joints=tuple(options.joints or ()),
         mode=DriverMode(options.mode),
-        heartbeat_register=options.register,
         reconnects=not options.no_reconnect,
         resumes=options.resume,
         plays=options.play,
     )
+    parameters = with_given(parameters, heartbeat_register=options.register)
     with contextlib.ExitStack() as stack:
         pace: _Pace = _pace(options, stack)
         pace.last(options.duration)
@@ -127,6 +128,16 @@ def _run(options: argparse.Namespace) -> None:
         lost = _watch(node, pace, is_ending_when_lost=options.no_reconnect)
     if lost is not None:
         raise ArmError(lost)
+
+
+def _refuse_of_other_modes(options: argparse.Namespace) -> None:
+    """Raises `TwinError` for options that only other modes heed."""
+    if options.mode != "slider":
+        refuse_given(
+            options, ("register", "play"), "expected with --mode slider, whose program they are for; leave them out"
+        )
+    if options.mode == "read-only":
+        refuse_given(options, ("resume",), "expected with a mode in which halts wait for somebody; leave it out")
 
 
 def _pace(options: argparse.Namespace, stack: contextlib.ExitStack) -> _Pace:
