@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twin_node.cli.arguments import add_log, add_namespace, not_negative, positive, speed, whole
+from twin_node.cli.keyboard import lines
 
 
 def add_record(commands: Any) -> None:
@@ -126,6 +127,6 @@ def _play(options: argparse.Namespace) -> None:
 
 
 def _toggle_pause(player: Any) -> None:
-    for _ in sys.stdin:
+    for _ in lines():
         player.pause(not player.is_paused)
         print("paused" if player.is_paused else "playing", flush=True)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import select
 import signal
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin_node.cli.arguments import add_namespace, file_or_name, positive, refuse_given, whole, with_given
+from twin_node.cli.keyboard import enter_pressed
 
 if TYPE_CHECKING:
     from twin_node.arm.ur import UrParameters
@@ -327,6 +326,6 @@ def _watch(node: Any, pace: _Pace, is_ending_when_lost: bool) -> str | None:
             if not was_connected:
                 raise ArmError(report.reason)
             return str(report.reason)
-        if sys.stdin.isatty() and select.select([sys.stdin], [], [], 0)[0] and sys.stdin.readline():
+        if enter_pressed():
             node.acknowledge(lambda _, words: print(f"acknowledge: {words}", flush=True))
     return None
