@@ -132,11 +132,12 @@ def test_a_driver_that_is_told_to_end_stops_the_arm_first(shift: Shift) -> None:
     assert at_zero is not None and paused is not None and at_zero.clock < paused.clock
 
 
-def test_a_driver_leaves_ctrl_c_to_its_supervisor(shift: Shift) -> None:
-    """It reaches all processes of a terminal."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTSTP, signal.SIGTTIN])
+def test_a_driver_leaves_what_a_terminal_says_to_its_supervisor(shift: Shift, number: signal.Signals) -> None:
+    """It reaches all processes of the terminal. With Ctrl-Z both stood still, and the slider stayed where it was."""
     pid = shift.driver.pid
     assert pid is not None
-    os.kill(pid, signal.SIGINT)
+    os.kill(pid, number)
     shift.reports.clear()
     shift.until(lambda: len(shift.reports) > 10)
     assert shift.driver.pid == pid

@@ -27,6 +27,10 @@ _RETRY_S = 0.5
 BRAKING_S = 2.0
 """Longest that a driver that ends brakes its arm, s: from 6.3 rad/s at 5 rad/s^2, behind the longest look-ahead."""
 
+_OF_TERMINALS = (signal.SIGINT, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+"""What a terminal sends to the whole group. After Ctrl-C the supervisor ends us in order. After Ctrl-Z it hands on no
+more decisions, and we stop the arm: stopped ourselves, we would leave the slider where it was."""
+
 
 class _Told(Exception):
     """Somebody wants the process to end."""
@@ -35,7 +39,8 @@ class _Told(Exception):
 def work(parameters: UrParameters, pipe: Connection) -> None:
     """Target of the process: waits for `Begin`, then drives; the last report says why it ends."""
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # ur_rtde chats on what belongs to the command's own output
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the supervisor ends us in order
+    for number in _OF_TERMINALS:
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise)
     try:
         load_ur_rtde()
