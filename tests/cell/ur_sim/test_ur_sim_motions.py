@@ -5,10 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twin_node.arm import default_path
 from twin_node.cell.ur_sim.controller import PERIOD_S, Controller, ControllerParameters
-from twin_node.cell.ur_sim.motions import STOP_DECELERATION, Hold, Motion, MoveJ, SpeedJ, Target
+from twin_node.cell.ur_sim.motions import (
+    SERVO_ACCELERATION,
+    STOP_DECELERATION,
+    FollowCycle,
+    Hold,
+    Motion,
+    MoveJ,
+    ServoJ,
+    SpeedJ,
+    Target,
+)
 from twin_node.cell.ur_sim.own_program import OwnProgram
 from twin_node.cell.ur_sim.states import RuntimeState
+from twin_node.robot import ur_model
 from twin_node.scene import Float64
 
 
@@ -38,6 +50,50 @@ def test_speeds_are_slowed_by_the_slider_and_stops_are_not() -> None:
     np.testing.assert_allclose(speeds[-1], 0.5 * wanted, atol=1e-9)
     stopped = speeds_of(Hold(), Target(np.zeros(6), wanted), 0.4 / STOP_DECELERATION + PERIOD_S, scale=0.1)
     assert not stopped[-1].any()
+
+
+def test_moves_and_cycles_take_as_much_longer_as_the_slider_says() -> None:
+    path = default_path(ur_model("ur5e"))
+    start = Target(path.at(0), np.zeros(6))
+    np.testing.assert_allclose(
+        start.q + speeds_of(FollowCycle(path), start, 1.0, scale=0.5).sum(axis=0) * PERIOD_S,
+        path.at(500_000_000),
+        atol=1e-9,
+    )
+    move = MoveJ(np.zeros(6), np.ones(6), 0.5, acceleration=2.0)
+    speeds = speeds_of(move, Target(np.zeros(6), np.zeros(6)), 1.9 * move.duration_s, scale=0.5)
+    assert not move.is_done
+    assert speeds.max() == pytest.approx(0.25, rel=0.02)
+
+
+def test_a_servo_keeps_to_its_acceleration_and_stands_while_its_program_is_paused() -> None:
+    """The slider does not slow it: paused, it would go on to its goal."""
+
+    class Servoing:
+        name = "servo"
+
+        def tick(self, controller: Controller) -> None:
+            controller.motion = ServoJ(start + 1.0, 0.1, controller.parameters.model.max_velocity)
+
+    def run(seconds: float) -> None:
+        for _ in range(round(seconds / PERIOD_S)):
+            machine.tick()
+
+    machine = Controller(ControllerParameters())
+    start = machine.target.q
+    assert machine.play(Servoing())
+    machine.tick()
+    assert np.abs(machine.target.qd).max() <= SERVO_ACCELERATION * PERIOD_S + 1e-9
+    run(0.1)
+    assert not machine.target.is_standing
+    assert machine.pause("test")
+    run(0.5)
+    assert machine.runtime_state is RuntimeState.PAUSED
+    place = machine.target.q
+    assert machine.target.is_standing and np.abs(place - start - 1.0).max() > 0.3
+    assert machine.play(Servoing())
+    run(2.0)
+    np.testing.assert_allclose(machine.target.q, start + 1.0, atol=1e-2)
 
 
 def test_a_program_that_goes_on_is_given_a_whole_period_of_its_watchdog() -> None:
