@@ -27,9 +27,10 @@ _RETRY_S = 0.5
 BRAKING_S = 2.0
 """Longest that a driver that ends brakes its arm, s: from 6.3 rad/s at 5 rad/s^2, behind the longest look-ahead."""
 
-_OF_TERMINALS = (signal.SIGINT, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
-"""What a terminal sends to the whole group. After Ctrl-C the supervisor ends us in order. After Ctrl-Z it hands on no
-more decisions, and we stop the arm: stopped ourselves, we would leave the slider where it was."""
+_OF_TERMINALS = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+"""What a terminal sends to the whole group. Where the supervisor ends, it ends us in order, or its pipe does; where
+it is stopped (Ctrl-Z) no decisions come, and we stop the arm. Ended or stopped ourselves, we would leave the
+slider where it was."""
 
 
 class _Told(Exception):
