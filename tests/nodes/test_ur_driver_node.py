@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -213,6 +214,29 @@ def test_a_full_disk_costs_neither_the_driver_nor_what_was_recorded_by_then(
     assert ticks[1] > 10
     with open_log(out) as log:
         assert sum(topic.count for topic in log.topics) == 60
+
+
+def test_a_terminal_that_is_closed_does_not_cost_the_recording(
+    stand_in: StandInProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shell and terminal tell of it, twice: the second one had ended the driver at once, and the log in a record."""
+    out, ticks, tick = tmp_path / "arm.mcap", [0], UrDriverNode.tick
+
+    def tick_and_hang_up(node: UrDriverNode) -> None:
+        tick(node)
+        ticks[0] += 1
+        if ticks[0] == 5:
+            for _ in range(2):
+                signal.raise_signal(signal.SIGHUP)
+
+    monkeypatch.setattr(UrDriverNode, "tick", tick_and_hang_up)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        assert main(["ur-driver", "--robot", stand_in.host, "--mode", "read-only", "-o", str(out)]) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    with open_log(out) as log:
+        assert log.damage is None
 
 
 def test_a_second_interrupt_does_not_cost_the_recording(

@@ -112,8 +112,9 @@ def _run(options: argparse.Namespace) -> None:
     with contextlib.ExitStack() as stack:
         pace: _Pace = _pace(options, stack)
         pace.last(options.duration)
-        for number in (signal.SIGINT, signal.SIGTERM):  # both end the arm in order, and keep what was recorded
-            signal.signal(number, pace.end)
+        hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN  # as with nohup
+        for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
+            signal.signal(number, pace.end)  # all end the arm in order, and keep what was recorded
         if options.output is not None:
             log = stack.enter_context(_recording(options.output))
             topics = (JOINT_STATES, TRAJECTORY, SEPARATION, DIAGNOSTICS)
