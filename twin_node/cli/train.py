@@ -104,14 +104,16 @@ def _ended_between_steps() -> Iterator[Callable[[], int | None]]:
     """What ends a command, Ctrl-C or a terminal that was closed, waits for the end of a step: what is saved in the
     middle of one would not go on as if nothing had been.
 
-    Gives what tells the signal that came; a second one waits for nothing, and leaves the last checkpoint as it is. One
-    that is ignored (`nohup`) stays so.
+    Gives what tells the signal that came; a second one waits for nothing, and leaves the last checkpoint as it is: but
+    of a terminal that was closed both itself and the shell tell. One that is ignored (`nohup`) stays so.
     """
     came: list[int] = []
 
     def wait(number: int, _: FrameType | None) -> None:
         came.append(number)
         restore()
+        if number == signal.SIGHUP:
+            signal.signal(number, signal.SIG_IGN)
 
     def restore() -> None:
         for number, handler in before.items():
