@@ -127,6 +127,7 @@ def test_mujoco_finds_the_distances_of_the_checker(twin_log: Path, tmp_path: Pat
     arm = ur_model("ur5e")
     checker = ArmCollisionChecker(arm)
     assert model.nkey == 15 and model.nq == 6
+    assert np.allclose(model.key_time, 0.1 * np.arange(15), atol=1e-9)  # at which the player shows them
     for key in range(model.nkey):
         mujoco.mj_resetDataKeyframe(model, data, key)
         mujoco.mj_kinematics(model, data)
@@ -363,6 +364,9 @@ def test_tables_hold_every_obstacle_in_force(twin_log: Path, tmp_path: Path) -> 
         rows = list(csv.DictReader(file))
     assert len(rows) == 45 and {row["kind"] for row in rows} == {"MOVING", "STATIC"}
     assert float(rows[3]["x_m"]) == pytest.approx(0.91)
+    first_ns = int(rows[0]["stamp_ns"])
+    assert all(row["seconds"] == f"{(int(row['stamp_ns']) - first_ns) * 1e-9:.6f}" for row in rows)
+    assert rows[-1]["seconds"] == "1.400000"
     with (tmp_path / "tables" / "arm.csv").open() as file:
         assert float(list(csv.DictReader(file))[14]["shoulder_pan_joint_rad"]) == pytest.approx(1.4)
 
