@@ -1,10 +1,15 @@
-"""What is said of cameras whose images are few between two reports."""
+"""What is said of cameras, those whose images are few between two reports too, and whom it is kept for."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from twin_node.nodes.camera_watch import CameraWatch
+from twin_node.nodes.log_source import LogSession, LogSource
+from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.rig import InputCounts, SyncReport
 
 COUNTS = {
@@ -49,3 +54,15 @@ def test_one_that_is_silent_or_slow_is_named_all_the_same() -> None:
         "slow",
         "slow",
     ]
+
+
+def test_of_a_logs_images_nothing_is_kept_for_diagnoses(
+    cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody asks for these: stamps and delays of all images were kept until the log's end."""
+    kept: list[object] = []
+    for method in ("add", "add_depth_frame"):
+        monkeypatch.setattr(CameraWatch, method, lambda *given, **_: kept.append(given))
+    with LogSession(cell_log(0.4)) as session:
+        assert len(list(LogSource(session, SynchronizerParameters(width=64)))) > 1
+    assert kept == []

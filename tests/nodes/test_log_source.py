@@ -17,7 +17,6 @@ from twin_node.errors import TwinWarning
 from twin_node.geometry import pose
 from twin_node.messages import convert, header_stamp, message_type
 from twin_node.model.sequence import ReadOptions
-from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.log_check import check_log
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.playback import Playback
@@ -132,18 +131,6 @@ def test_an_arm_whose_base_is_not_base_link_is_told(tmp_path: Path, height_m: fl
         assert lines == list(session.doubts) and bool(lines) == is_told
     with open_log(tmp_path / "joints.mcap") as read:
         assert set(lines) <= set(check_log(read).faults)
-
-
-def test_of_a_logs_images_nothing_is_kept_for_diagnoses(
-    cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nobody asks for these: stamps and delays of all images were kept until the log's end."""
-    kept: list[object] = []
-    for method in ("add", "add_depth_frame"):
-        monkeypatch.setattr(CameraWatch, method, lambda *given, **_: kept.append(given))
-    with LogSession(cell_log(0.4)) as session:
-        assert len(list(LogSource(session, SynchronizerParameters(width=64)))) > 1
-    assert kept == []
 
 
 def test_a_recording_is_no_wider_than_its_images(cell_log: Callable[..., Path]) -> None:
