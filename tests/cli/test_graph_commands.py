@@ -95,7 +95,7 @@ def test_parameters_are_listed_read_and_explained(node: Obedient, capsys: pytest
     assert printed(capsys, "param", "get", "twin", "model.device") == ["cpu"]
     assert printed(capsys, "param", "describe", "twin", "grid.voxel_size", "forecast.bound.coverage") == [
         "grid.voxel_size: double, 0.02",
-        "  Edge of a voxel, m.",
+        "  Edge of a voxel, m; longer where it would take more than 1.5 million: two CPU cores follow no more.",
         "forecast.bound.coverage: double, 0.99",
         "  Share of the moving space, and of the nodes, that the forecast made for it must hold.",
     ]

@@ -21,7 +21,7 @@ class GridParameters:
     """The voxels that occupancy is reported on."""
 
     voxel_size: float = 0.02
-    """Edge of a voxel, m; longer where more than 1.5 million would fill the workspace: two CPU cores follow no more."""
+    """Edge of a voxel, m; longer where it would take more than 1.5 million: two CPU cores follow no more."""
 
     def __post_init__(self) -> None:
         """Raises `ForecastError` for a size that none is, or that tells nothing."""
