@@ -82,6 +82,20 @@ def add_arm(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_ur_arm(parser: argparse.ArgumentParser) -> None:
+    """Which arm a UR controller moves."""
+    parser.add_argument(
+        "--model",
+        type=file_or_name,
+        default="ur5e",
+        metavar="ARM",
+        help="ur3e, ur5e (default), ur7e, ur10e, ur12e, ur16e, or an MJCF or URDF file",
+    )
+    parser.add_argument(
+        "--kinematics", type=file_or_name, metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)"
+    )
+
+
 def arm_of(options: argparse.Namespace) -> ArmParameters:
     """The arm that `add_arm`'s options name. Raises `TwinError` for both of them, and for a wrong parameter file."""
     from twin_node.nodes.arm_parameters import ArmParameters
@@ -127,7 +141,7 @@ def finite(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """A number of things."""
+    """A whole number of 1 or more, as things are counted."""
     return _whole_within(text, COUNTS, f"a whole number, {COUNTS}")
 
 

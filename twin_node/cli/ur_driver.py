@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_namespace, file_or_name, positive, refuse_given, whole, with_given
+from twin_node.cli.arguments import add_namespace, add_ur_arm, positive, refuse_given, whole, with_given
 from twin_node.cli.keyboard import enter_pressed
 
 if TYPE_CHECKING:
@@ -57,16 +57,7 @@ def add_ur_driver(commands: Any) -> None:
         default="slider",
         help="how the arm is driven (default slider)",
     )
-    parser.add_argument(
-        "--model",
-        type=file_or_name,
-        default="ur5e",
-        metavar="ARM",
-        help="ur3e, ur5e (default), ur7e, ur10e, ur12e, ur16e, or an MJCF or URDF file",
-    )
-    parser.add_argument(
-        "--kinematics", type=file_or_name, metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)"
-    )
+    add_ur_arm(parser)
     parser.add_argument(
         "--joints",
         nargs="+",

@@ -9,7 +9,7 @@ import re
 import signal
 from typing import Any
 
-from twin_node.cli.arguments import file_or_name, not_negative
+from twin_node.cli.arguments import add_ur_arm, not_negative
 
 _DESCRIPTION = """\
 A stand-in for a UR controller on a loopback address: RTDE (port 30004), dashboard (29999) and script ports (30001 to
@@ -39,16 +39,7 @@ def add_ur_sim(commands: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="loopback address (default 127.0.0.1)")
-    parser.add_argument(
-        "--model",
-        type=file_or_name,
-        default="ur5e",
-        metavar="ARM",
-        help="ur3e, ur5e (default), ur7e, ur10e, ur12e or ur16e",
-    )
-    parser.add_argument(
-        "--kinematics", type=file_or_name, metavar="FILE.yaml", help="factory calibration of the arm (ur_calibration)"
-    )
+    add_ur_arm(parser)
     parser.add_argument(
         "--polyscope",
         default="5.12.0",
