@@ -30,6 +30,7 @@ from twin_node.runtime.clock import SystemClock
 from twin_node.runtime.executor import Executor
 from twin_node.runtime.neighbours import NodeNames
 from twin_node.runtime.node import Node
+from twin_node.runtime.services import ServiceClient
 from twin_node.runtime.wire_bus import WireBus
 from twin_node.runtime.zenoh_session import ZenohParameters, open_router
 from twin_node.runtime.zenoh_wire import ZenohWire
@@ -292,4 +293,29 @@ def test_who_acknowledges_hears_what_comes_of_it_once_the_control_script_has_beg
 
 
 def test_who_acknowledges_where_no_arm_is_driven_is_told(graph: ZenohParameters, refused: Callable[..., str]) -> None:
-    assert "expected the driver of an arm on the graph of this machine" in refused("acknowledge")
+    assert "expected the driver of an arm on the graph of this machine to serve it, found none" in refused(
+        "acknowledge"
+    )
+
+
+def test_who_acknowledges_to_a_driver_that_hangs_is_told(
+    graph: ZenohParameters, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not that there is none."""
+    monkeypatch.setattr(ServiceClient, "ask", lambda self, name, service: None)
+    with driven(graph, Halted(), monkeypatch):
+        assert "expected the driver of the arm to answer within 10 s, but it did not" in refused("acknowledge")
+
+
+def test_a_driver_that_is_just_being_started_is_waited_for(
+    graph: ZenohParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its service is not known on the graph before it is: it was said that there is none."""
+    monkeypatch.setattr("twin_node.nodes.live.asking.APPEARS_S", PATIENCE_S)
+    with Asking(graph) as asking:
+        answers: list[tuple[bool, str]] = []
+        asker = threading.Thread(target=lambda: answers.append(asking.acknowledge()))
+        asker.start()
+        with driven(graph, Halted(), monkeypatch):
+            asker.join(PATIENCE_S)
+    assert answers == [(True, "acknowledged what had halted: no forecast; now ready: no forecast")]

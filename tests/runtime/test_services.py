@@ -96,6 +96,14 @@ def test_nobody_answers_for_a_service_that_there_is_not_or_is_no_more(wire: Zeno
     assert soon(lambda: client.ask("/twin/get_state", STATE, 1.0) is None)
 
 
+def test_a_service_is_awaited_until_it_is_there(wire: ZenohWire, client: ServiceClient) -> None:
+    assert not client.awaits("/twin/get_state", 0.0)
+    late = threading.Timer(0.3, lambda: wire.serve("twin", "/twin/get_state", STATE, saying("active")))
+    late.start()
+    assert client.awaits("/twin/get_state", LONG_S)
+    assert client.ask("/twin/get_state", STATE) is not None, "and answers at once"
+
+
 def test_what_is_no_request_is_not_answered(zenoh_router: ZenohParameters, wire: ZenohWire) -> None:
     """Neither bytes that are none nor a query without what tells who asks; whoever asks next is answered."""
     import zenoh

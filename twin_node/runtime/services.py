@@ -34,6 +34,8 @@ Answer: TypeAlias = Callable[[Message, Reply], None]
 
 PATIENCE_S = ORDER.lifespan_s
 """How long a client waits for a response, s: as long as an order is good for, and as rmw_zenoh does."""
+_LOOK_S = 0.1
+"""Between two looks for a service that is awaited, s."""
 
 
 class ServiceDesk:
@@ -111,6 +113,15 @@ class ServiceClient:
         """Full names of the services that nodes of the domain serve: `/twin/get_state`."""
         ends = map(parse_token, self._tokens())
         return frozenset(end.topic for end in ends if end is not None and end.kind is EntityKind.SERVICE)
+
+    def awaits(self, name: str, patience_s: float) -> bool:
+        """Whether a node serves `name` by now, or comes to within that time, s, as one that is just being started."""
+        until = time.monotonic() + patience_s
+        while name not in self.services():
+            if time.monotonic() >= until:
+                return False
+            time.sleep(_LOOK_S)
+        return True
 
     def _tokens(self) -> list[str]:
         """Liveliness tokens of the domain."""

@@ -24,6 +24,8 @@ T = TypeVar("T")
 
 HANGS = "does not answer"
 """Told of a node that has a service and does not answer, in place of its state or its parameters."""
+APPEARS_S = 2.0
+"""How long a driver that is not there is waited for by who acknowledges, s: it may just be starting."""
 CHANGES_S = 120.0
 """How long a node may take for a transition, s: a first set of images may have to wait for kernels to be compiled."""
 SHARED = ("rig", USE_SIM_TIME)
@@ -64,13 +66,18 @@ class Asking:
 
     def acknowledge(self) -> tuple[bool, str]:
         """Tells the driver of the namespace's arm that somebody has seen to its halt: whether the arm is halted no
-        longer, and what the driver says of it. Raises `GraphError` where none answers."""
+        longer, and what the driver says of it. Raises `GraphError` where there is none, or it does not answer."""
         name = within(self._namespace, ACKNOWLEDGE)
+        if not self._client.awaits(name, APPEARS_S):
+            raise GraphError(
+                f"{name}: expected the driver of an arm on the graph of this machine to serve it, found none; "
+                "'twin_node doctor' says who is there (another ROS_DOMAIN_ID or --namespace?)"
+            )
         answer = self._client.ask(name, service_type(TRIGGER))
         if answer is None:
             raise GraphError(
-                f"{name}: expected the driver of an arm on the graph of this machine to serve it, found none that "
-                "answers; 'twin_node doctor' says who is there (another ROS_DOMAIN_ID or --namespace?)"
+                f"{name}: expected the driver of the arm to answer within {PATIENCE_S:g} s, but it did not: it "
+                "hangs, or has ended; 'twin_node doctor' says who is there"
             )
         return bool(answer.success), str(answer.message)
 
