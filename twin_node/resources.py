@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 import sysconfig
 from pathlib import Path
@@ -37,15 +38,26 @@ def find(name: str | Path) -> Path:
         if _is_there(candidate):
             return candidate
     places = ", ".join(str(candidate.parent) for candidate in candidates) or str(path.parent)
-    meant = _namesakes(path)
-    advice = f"did you mean {' or '.join(meant)}?" if meant else "check the spelling of the path"
-    raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); {advice}")
+    raise ResourceError(f"{name}: no such file (looked in {Path.cwd()}, {places}); {_advice(path)}")
 
 
-def _namesakes(path: Path) -> list[str]:
-    """What of that name lies in a data folder, as `find` takes it."""
-    found = (folder / path.name for root in roots() if root.is_dir() for folder in map(root.joinpath, FOLDERS))
-    return list(dict.fromkeys(f"{one.parent.name}/{one.name}" for one in found if path.name and one.is_file()))
+def _advice(path: Path) -> str:
+    """What to name instead: what has that name in a data folder, or nearly so in its own; or all that there is."""
+    own = _names(path.parent.name, path.suffix) if path.parent.name in FOLDERS else []
+    like = difflib.get_close_matches(path.stem, own, n=1)
+    meant = [f"{folder}/{path.name}" for folder in FOLDERS if path.stem in _names(folder, path.suffix)]
+    meant = meant or [f"{path.parent.name}/{name}{path.suffix}" for name in like]
+    if meant:
+        return f"did you mean {' or '.join(meant)}?"
+    return f"{path.parent.name} has {', '.join(own)}" if own else "check the spelling of the path"
+
+
+def _names(folder: str, suffix: str) -> list[str]:
+    """Names, without that suffix, of the files of a data folder, in every root."""
+    places = [root / folder for root in roots() if (root / folder).is_dir()]
+    return sorted(
+        {file.stem for place in places for file in place.iterdir() if file.is_file() and file.suffix == suffix}
+    )
 
 
 def _is_there(path: Path) -> bool:
