@@ -26,6 +26,7 @@ from twin_node.rig.calibrate.hand_eye_files import detect_target, read_lens, rea
 from twin_node.rig.calibrate.hand_eye_fit import HandEyeFit, HandEyeParameters
 from twin_node.rig.calibrate.hand_eye_start import Stops, target_symmetries
 from twin_node.rig.calibrate.lenses import pixel_rays, raw_pixels
+from twin_node.robot import forward_kinematics, ur_model
 from twin_node.scene import Float64, Rig, RigCamera
 
 
@@ -190,6 +191,20 @@ def test_a_list_that_is_wrong_is_named(tmp_path: Path) -> None:
         read_stops(tmp_path)
     with pytest.raises(RigError, match=r"camera_intr.yaml, found neither"):
         read_lens(tmp_path, (640, 480))
+
+
+def test_joints_tell_where_the_flange_is_however_far_it_is_from_the_last_joint(tmp_path: Path) -> None:
+    """Of an arm from a file: the last joint's frame is in no file, and what a rig in `tool0` says is not of that."""
+    flange = pose(Rotation.from_euler("y", 90, degrees=True).as_matrix(), np.array([0.0, 0.0, 0.107]))
+    arm = replace(ur_model("ur5e"), T_last_tool=flange)
+    joints = np.radians([20.0, -100, 100, -90, -80, 30])
+    (tmp_path / "there.png").touch()
+    (tmp_path / "cal_data.yaml").write_text(yaml.safe_dump([{"image": "there.png", "joints": joints.tolist()}]))
+    (stop,) = read_stops(tmp_path, arm)
+    np.testing.assert_allclose(stop.T_base_flange, forward_kinematics(arm, joints)[-1] @ flange, atol=1e-12)
+    assert stop.T_base_flange_off is not None
+    moves_m = np.linalg.norm(stop.T_base_flange_off[:, :3, 3] - stop.T_base_flange[:3, 3], axis=1)
+    assert (moves_m > 0).all() and (moves_m < 0.003).all()  # a tenth of a degree, over a metre and a half at most
 
 
 BOARD = CharucoBoard(6, 5, 0.03, 0.022)

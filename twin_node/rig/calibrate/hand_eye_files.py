@@ -61,9 +61,10 @@ def read_stops(path: Path, arm: ArmModel | None = None) -> tuple[Stop, ...]:
 
 
 def stop_of_joints(image: Path, arm: ArmModel, joints: Float64) -> Stop:
-    """The stop at joint angles [J], rad."""
+    """The stop at joint angles [J], rad; its flange is the arm's `tool0`."""
     off = joints + JOINT_SIGMA * np.eye(arm.joints)[1:-1]
-    return Stop(image, *(forward_kinematics(arm, angles)[..., -1, :, :] for angles in (joints, off)))
+    links = (forward_kinematics(arm, angles)[..., -1, :, :] for angles in (joints, off))
+    return Stop(image, *(link @ arm.T_last_tool for link in links))
 
 
 def detect_target(
