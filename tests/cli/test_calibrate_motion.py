@@ -57,7 +57,10 @@ def test_refine_of_a_log_with_depth(
     first = load_rig(out)
     assert [camera.name for camera in first.rig.cameras] == list(figures["cameras"])
     of_a_board = CameraEvidence(0.1, 0.1, 20, 400, 1e-8 * np.eye(6), np.ones(9), 0.001, 5.0)
-    save_rig(replace(first, evidence=(of_a_board,) * len(first.rig.cameras)), tmp_path / "board.yaml")
+    clock = {"time_offset_ns": 12_000_000, "time_rate_ppm": 30.0, "time_reference_ns": 20_000_000_000}
+    timed = replace(first.rig, cameras=tuple(replace(camera, **clock) for camera in first.rig.cameras))
+    of_videos = replace(first, rig=timed, evidence=(of_a_board,) * len(timed.cameras))
+    save_rig(of_videos, tmp_path / "board.yaml")
     given = ["--rig", str(tmp_path / "board.yaml")]
     assert main(["calibrate", "refine", str(cell_log(1.2)), *given, "-o", str(out)]) == 0
     for camera, now in zip(first.rig.cameras, load_rig(out).evidence, strict=True):  # poses and lenses are others now
@@ -65,6 +68,8 @@ def test_refine_of_a_log_with_depth(
         assert np.sqrt(np.diag(now.pose_covariance)[:3]).max() < 0.02, camera.name
         clock_alone = CameraEvidence(time_offset_sigma=0.001, time_rate_sigma_ppm=5.0)
         assert replace(now, pose_covariance=None) == clock_alone
+    for camera in load_rig(out).rig.cameras:  # of stamps that count from a recording's start: not of this log's
+        assert {name: getattr(camera, name) for name in clock} == clock
 
 
 def test_refine_times_the_clocks_too(

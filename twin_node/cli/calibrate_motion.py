@@ -99,7 +99,7 @@ def _refine(options: argparse.Namespace) -> None:
                 warnings.append(f"clocks are left as they are: {error}")
             else:
                 refined, lines, figures = timed.file, [*lines, *timed.lines], {**figures, "clocks": timed.figures}
-    write_rig(refined, options.output)
+    write_rig(_with_other_clocks(options, refined), options.output)
     warn(*warnings)
     print(json_text(figures) if options.json else "\n".join([*lines, str(options.output)]))
 
@@ -136,7 +136,7 @@ def _time(options: argparse.Namespace) -> None:
     with _session(options) as session:
         timed = _timed(options, session, _given(options, session.rig))
     if options.output:
-        write_rig(timed.file, options.output)
+        write_rig(_with_other_clocks(options, timed.file), options.output)
     print(json_text(timed.figures) if options.json else "\n".join(timed.lines))
 
 
@@ -216,6 +216,26 @@ def _given(options: argparse.Namespace, rig: Rig) -> RigFile:
     from twin_node.rig import RigFile, load_rig
 
     return replace(load_rig(options.rig), rig=rig) if options.rig else RigFile(rig)
+
+
+def _with_other_clocks(options: argparse.Namespace, found: RigFile) -> RigFile:
+    """A rig file to write with those clocks of the one given that say nothing of the log's stamps, but of others."""
+    from twin_node.rig import load_rig
+
+    if not options.rig:
+        return found
+    cameras = tuple(
+        now
+        if now.time_offset_ns or now.time_rate_ppm or now.time_reference_ns
+        else replace(
+            now,
+            time_offset_ns=given.time_offset_ns,
+            time_rate_ppm=given.time_rate_ppm,
+            time_reference_ns=given.time_reference_ns,
+        )
+        for now, given in zip(found.rig.cameras, load_rig(options.rig).rig.cameras, strict=True)
+    )
+    return replace(found, rig=replace(found.rig, cameras=cameras))
 
 
 def _gap(pair: PairFigures) -> str:
