@@ -61,6 +61,17 @@ def test_two_videos_become_a_log_with_images_calibration_and_transforms(rig: Pat
     np.testing.assert_allclose(np.array(stamps) / 1e9, 10 + 0.04 * np.arange(FRAMES), atol=1e-9)
 
 
+def test_clocks_that_were_timed_live_are_no_matter_of_videos_that_begin_at_0(rig: Path) -> None:
+    """By its rate the camera's images were written 35,200 s before the other's."""
+    live = "time_offset: 0.0\n    time_rate_ppm: 20.0\n    time_reference: 1760000000\n    "
+    rig.write_text(RIG.replace("video: right.avi", f"{live}video: right.avi"))
+    out = rig.parent / "log.mcap"
+    assert main(["import", "video", str(rig), "-o", str(out)]) == 0
+    with open_log(out) as log:
+        stamps = [message.stamp for message in log.messages(["/right/image_raw/compressed"])]
+    np.testing.assert_allclose(np.array(stamps) / 1e9, 0.04 * np.arange(FRAMES), atol=1e-9)
+
+
 def lose_a_video(folder: Path) -> None:
     (folder / "right.avi").unlink()
 

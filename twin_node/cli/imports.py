@@ -33,12 +33,17 @@ def add_import(commands: Any) -> None:
 def _import_video(options: argparse.Namespace) -> None:
     from twin_node.bag.import_video import VideoCamera, import_video
     from twin_node.rig import load_rig
+    from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
     from twin_node.rig.stamps import read_stamps
 
     rig_file = load_rig(options.rig)
+    sources = rig_file.videos()
+    stamps = [None if source.stamps is None else read_stamps(source.stamps) for source in sources]
+    since_1970 = any(own is not None and own[0] >= SINCE_1970_NS for own in stamps)
+    timed = without_other_clocks(rig_file.rig, since_1970)
     cameras = [
-        VideoCamera(camera, source.video, None if source.stamps is None else read_stamps(source.stamps), source.fps)
-        for camera, source in zip(rig_file.rig.cameras, rig_file.videos(), strict=True)
+        VideoCamera(camera, source.video, own, source.fps)
+        for camera, source, own in zip(timed.cameras, sources, stamps, strict=True)
     ]
     with counted("import", "frame") as show:
         imported = import_video(cameras, options.output, show, workspace=rig_file.rig.workspace)

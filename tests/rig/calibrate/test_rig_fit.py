@@ -84,6 +84,21 @@ def test_clocks_of_the_rig_are_applied_the_right_way_round(recordings: list[Came
     assert misfit(fit(BOARD, wrong, common_sightings(BOARD, wrong, recordings))) > 5 * right
 
 
+def test_clocks_that_were_timed_since_1970_say_nothing_of_videos_that_begin_at_0() -> None:
+    """By their rates images of one time were hours apart, and the board was in none of two cameras at once."""
+    videos = [
+        record(BOARD, a_lens(), T, f"cam{i}", np.random.default_rng(i), Spoiled(NOISE_PX), seconds=3.0)
+        for i, T in enumerate(around(3))
+    ]
+    rates_ppm = (0.0, 20.0, -15.0)
+    cameras = (
+        replace(camera, time_rate_ppm=rate_ppm, time_reference_ns=1_760_000_000 * 10**9)
+        for camera, rate_ppm in zip(a_rig().cameras, rates_ppm, strict=True)
+    )
+    live = Rig(tuple(cameras))
+    assert misfit(fit(BOARD, live, common_sightings(BOARD, live, videos))) < 0.4
+
+
 def test_stills_of_one_number_belong_together_whatever_the_clocks() -> None:
     """A rig whose clocks were found in a video was refused over pictures: none was of the same time any more."""
     films = [

@@ -17,6 +17,7 @@ from twin_node.rig.calibrate.pose_graph import board_pose
 from twin_node.rig.calibrate.rig_start import check_turns, set_stamps, simultaneous
 from twin_node.rig.calibrate.rotations import cross_matrix, turning
 from twin_node.rig.calibrate.tracks import CameraRecording
+from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
 from twin_node.rig.errors import RigError
 from twin_node.scene import Float64, Rig, RigCamera
 
@@ -43,7 +44,8 @@ class RigFit:
 
 
 def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecording]) -> tuple[Sighting, ...]:
-    """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied to videos.
+    """What cameras of a rig saw of a board at once; cameras count as in the rig, whose clocks are applied to videos,
+    but for those that were timed by stamps of another kind.
 
     Raises `RigError` for a board that looks the same when turned, where a recording is of a camera that the rig does
     not have, or of another size, or where no two saw the board at once.
@@ -63,7 +65,9 @@ def common_sightings(board: Board, rig: Rig, recordings: Sequence[CameraRecordin
                 f"found {recording.size[0]}x{recording.size[1]}; use the calibration of this resolution"
             )
     order = [names.index(recording.name) for recording in recordings]
-    timed = [_by_rig_clock(recording, rig.cameras[i]) for recording, i in zip(recordings, order, strict=True)]
+    since_1970 = any(int(recording.stamps[0]) >= SINCE_1970_NS for recording in recordings)
+    clocks = without_other_clocks(rig, since_1970).cameras
+    timed = [_by_rig_clock(recording, clocks[i]) for recording, i in zip(recordings, order, strict=True)]
     stamps = set_stamps(timed)
     together = simultaneous(board, timed, stamps, np.tile(stamps, (len(timed), 1)))
     seen = [Sighting(order[s.camera], s.board, s.corners) for s in together]
