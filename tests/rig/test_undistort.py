@@ -90,6 +90,15 @@ def test_coefficients_of_zero_may_be_of_any_number(count: int) -> None:
     assert view.depth is not None and (view.depth == 1).all()
 
 
+def test_numbers_of_a_fisheye_may_be_of_any_kind() -> None:
+    """A script's `K` of whole numbers, or in single precision, ended in a trace of OpenCV's."""
+    K = np.array([[60, 0, 31], [0, 60, 23], [0, 0, 1]])
+    rays = np.array([[0.1, -0.2], [0.4, 0.3]])
+    whole = RigCamera("left", 64, 48, K, np.eye(4), "equidistant", np.zeros(4, np.float32))
+    expected = distort(replace(whole, K=K.astype(np.float64), D=np.zeros(4)), rays)
+    np.testing.assert_array_equal(distort(whole, rays), expected)
+
+
 def test_full_size_without_distortion_is_the_image_itself() -> None:
     image = RNG.integers(0, 256, (270, 480, 3), dtype=np.uint8)
     view = Undistorter(PINHOLE).view(7, image)

@@ -212,7 +212,8 @@ def distort(camera: Optics, rays: Float64) -> Float64:
     (`cv2.fisheye`) for equidistant.
     """
     if camera.distortion_model == "equidistant":
-        pixels = cv2.fisheye.distortPoints(rays[:, None], camera.K, camera.D) if len(rays) else rays
+        K, D = (np.asarray(numbers, np.float64) for numbers in (camera.K, camera.D))  # OpenCV wants one kind of both
+        pixels = cv2.fisheye.distortPoints(rays[:, None], K, D) if len(rays) else rays
         return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     out: Float64 = _brown_conrady(camera.D, rays) * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]
     return out

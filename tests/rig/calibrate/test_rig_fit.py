@@ -111,6 +111,19 @@ def test_stills_of_one_number_belong_together_whatever_the_clocks() -> None:
     assert misfit(fit(BOARD, a_rig(), seen)) < 0.4
 
 
+def test_lenses_through_which_no_board_is_anywhere_are_named(recordings: list[CameraRecording]) -> None:
+    """Eight coefficients in another tool's order ended in a trace."""
+    D = np.array([0.2, 0.0005, -0.1, 80.01, 0.02, -0.5, -0.05, 0.03])
+    rig = Rig(tuple(replace(one, distortion_model="rational_polynomial", D=D) for one in a_rig().cameras))
+    seen = common_sightings(BOARD, rig, recordings)
+    (finding,) = check_against_board(BOARD, rig, seen).findings
+    assert str(finding).startswith("all cameras: no board looks as they see it through these lenses: check the")
+    with pytest.raises(
+        RigError, match="cameras cam0, cam1, cam2: expected lenses through which the board is somewhere"
+    ):
+        settled(BOARD, rig, fit(BOARD, rig, seen))
+
+
 def test_recordings_may_come_in_any_order(recordings: list[CameraRecording]) -> None:
     rig = a_rig()
     seen = common_sightings(BOARD, rig, [recordings[2], recordings[0]])

@@ -88,10 +88,13 @@ def check_against_board(board: Board, rig: Rig, sightings: Sequence[Sighting]) -
     now, mistakes = _Misfit.of(board, rig, few, views), list(undone(rig))
     then = [_Misfit.of(board, mistake.rig, few, views) for mistake in mistakes]
     best = int(np.argmin([misfit.share for misfit in then]))
-    if then[best].share < now.share / TELLING_FACTOR:
+    if then[best].share < (now.share / TELLING_FACTOR if np.isfinite(now.share) else GOOD_SHARE):
         found = mistakes[best].finding
         cause = f"{found.cause} (median error {now.worst_px:.1f} px, then {then[best].worst_px:.1f} px)"
         return Verdict((replace(found, cause=cause),))
+    if not np.isfinite(whole.share):
+        cause = "no board looks as they see it through these lenses: check the coefficients' order, or calibrate anew"
+        return Verdict((Finding("", cause),))
     cause = f"its median error is {whole.worst_px:.1f} px and no customary mistake explains it: calibrate anew"
     return Verdict((Finding(whole.worst, cause),))
 
@@ -229,7 +232,7 @@ class _Misfit:
 
     worst: str
     worst_px: float
-    """Its median error, pixels."""
+    """Its median error, pixels; infinite where the board is nowhere as any camera's lens is."""
     share: float
     """The same as a share of its image's width."""
 
@@ -242,7 +245,7 @@ class _Misfit:
             if (residuals := result.of_camera(number)) is not None:
                 off_px = float(np.median(np.linalg.norm(residuals, axis=1)))
                 misfits.append(cls(camera.name, off_px, off_px / camera.width))
-        return max(misfits, key=lambda misfit: misfit.share)
+        return max(misfits, key=lambda misfit: misfit.share, default=cls("", np.inf, np.inf))
 
 
 def _some_sets(sightings: Sequence[Sighting]) -> list[Sighting]:

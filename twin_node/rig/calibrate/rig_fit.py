@@ -124,8 +124,15 @@ def fit(board: Board, rig: Rig, sightings: Sequence[Sighting], views: BoardViews
 def settled(board: Board, rig: Rig, rough: RigFit) -> RigFit:
     """The fit with every board where all cameras together put it, not one of them, by robust least squares.
 
-    What the residuals then show is what the rig, and the board's own shape, leave over.
+    What the residuals then show is what the rig, and the board's own shape, leave over. Raises `RigError` where there
+    are none.
     """
+    if not rough.sightings:
+        names = ", ".join(camera.name for camera in rig.cameras)
+        raise RigError(
+            f"cameras {names}: expected lenses through which the board is somewhere, found none; check the "
+            "coefficients' order, or calibrate anew"
+        )
     eyes, places = _Eyes.of(board, rig), _places(rig, rough.sightings, BoardViews(board))
     residuals = list(rough.residuals)
     for rows in _sets(rough.sightings):
