@@ -145,6 +145,9 @@ def test_every_third_frame_has_its_own_stamp(tmp_path: Path) -> None:
     (left,) = load_cameras(tmp_path, Chessboard(9, 6, 0.025), every=3)
     np.testing.assert_allclose(left.stamps, [0, 3e8, 6e8], atol=1)
     assert left.images == tuple(f"left.mp4 frame {i}" for i in (0, 3, 6))
+    (tmp_path / "left.txt").write_text("\n".join(str(0.1 * i) for i in range(9)))  # as many at every third place
+    with pytest.raises(RigError, match="one stamp for each of its 7 frames, found 9"):
+        load_cameras(tmp_path, Chessboard(9, 6, 0.025), every=3)
 
 
 @pytest.mark.parametrize(("one", "other"), [("left1", "left_01"), ("left/a_1", "left/b_1")])

@@ -104,7 +104,7 @@ def pictures_of(paths: Sequence[Path], every: int) -> Iterator[Picture]:
             inside = [p for p in listed(path) if p.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES]
             yield from pictures_of(inside, every)
         elif path.suffix.lower() in VIDEO_SUFFIXES:
-            yield from _frames(path, every)
+            yield from _Frames(path, every)
         else:
             yield _image(path)
 
@@ -167,14 +167,14 @@ def _check_names(folder: Path, names: Sequence[str]) -> None:
 
 
 def _video_camera(path: Path, number: int, board: Board, every: int, progress: Progress | None) -> CameraRecording:
-    stamps = _video_stamps(path, number)
-    search = find_in_pictures(board, _frames(path, every), str(path), progress)
-    stamps = stamps[::every]
-    if len(stamps) != len(search.images):
+    stamps, frames = _video_stamps(path, number), _Frames(path, every)
+    search = find_in_pictures(board, iter(frames), str(path), progress)
+    if len(stamps) != frames.count:
         raise RigError(
-            f"{path}: expected one stamp for each of its {len(search.images)} frames, found {len(stamps)}; "
+            f"{path}: expected one stamp for each of its {frames.count} frames, found {len(stamps)}; "
             "these are the stamps of another video"
         )
+    stamps = stamps[::every]
     if (np.diff(stamps) <= 0).any():
         raise RigError(f"{path}: expected rising stamps, found some that go back; sort them with their frames")
     if len(stamps) > 1 and (period_s := float(np.median(np.diff(stamps))) / 1e9 / every) > LONGEST_PERIOD_S:
@@ -245,19 +245,27 @@ def _still_camera(name: str, numbered: dict[int, Path], board: Board, progress: 
     return CameraRecording(as_camera_name(name), search.size, stamps, search.images, search.found, moving=False)
 
 
-def _frames(path: Path, every: int) -> Iterator[Picture]:
-    video = cv2.VideoCapture(str(path))
-    if not video.isOpened():
-        raise RigError(f"{path}: expected a video, found nothing that can be read; check the file")
-    number = 0
-    while video.grab():
-        if number % every == 0:
+class _Frames:
+    """Every so many frames of a video. Raises `RigError` where it, or one of these, cannot be read."""
+
+    def __init__(self, path: Path, every: int) -> None:
+        self._path, self._every = path, every
+        self.count = 0
+        """Of all frames, those left out too, up to where reading has come."""
+
+    def __iter__(self) -> Iterator[Picture]:
+        path, video = self._path, cv2.VideoCapture(str(self._path))
+        if not video.isOpened():
+            raise RigError(f"{path}: expected a video, found nothing that can be read; check the file")
+        while video.grab():
+            number, self.count = self.count, self.count + 1
+            if number % self._every:
+                continue
             decoded, image = video.retrieve()
             if not decoded:
                 raise RigError(f"{path}: expected frames that can be decoded, found none at {number}; copy it again")
             yield Picture(f"{path.name} frame {number}", np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8))
-        number += 1
-    video.release()
+        video.release()
 
 
 def _image(path: Path) -> Picture:
