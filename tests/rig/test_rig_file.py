@@ -166,6 +166,7 @@ MISTAKES = {
     "video without stamps": (lambda d, c: c.update(video="a.mp4"), r"left.*expected either `stamps` or `fps`"),
     "stamps and rate": (lambda d, c: c.update(video="a.mp4", fps=30, stamps="a.txt"), r"left.*found both"),
     "frame rate": (lambda d, c: c.update(video="a.mp4", fps=-1), r"left.*fps: expected a positive frame rate"),
+    "none but the first": (lambda d, c: c.update(video="a.mp4", fps=1e-300), r"fps: .* at least 1e-06 .* found 1e-300"),
     "all at one moment": (lambda d, c: c.update(video="a.mp4", fps=1e12), r"fps: .* at most 1e\+06 .* found 1e\+12"),
     "stamp unit": (
         lambda d, c: c.update(video="a.mp4", stamps={"file": "a.txt", "unit": "min"}),

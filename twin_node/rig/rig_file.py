@@ -38,8 +38,9 @@ CAMERA_FIELDS = (
 MOST_RATE_PPM = 10_000.0
 """Crystals are good to 100 ppm and driver clocks to some 1000; what is beyond 1 % is a mistake of units."""
 
-HIGHEST_FPS = 1e6
-"""No camera takes more images per second: with stamps in ns, beyond 1e9 all frames would be of one moment."""
+LOWEST_FPS, HIGHEST_FPS = 1e-6, 1e6
+"""No camera takes fewer images per second, an image in eleven days, or more: with stamps in ns, beyond 1e9 all frames
+would be of one moment, and far below 1e-9 none but the first is of any."""
 
 
 @dataclass(frozen=True)
@@ -223,9 +224,10 @@ def _source(fields: Fields, camera: str, folder: Path) -> VideoSource | None:
         raise RigError(f"{fields.where}: expected either `stamps` or `fps` with `video`, found {found}")
     if fields.has("fps"):
         fps = fields.number("fps")
-        if not 0 < fps <= HIGHEST_FPS:
+        if not LOWEST_FPS <= fps <= HIGHEST_FPS:
             raise RigError(
-                f"{fields.where}.fps: expected a positive frame rate, at most {HIGHEST_FPS:g} per second, found {fps:g}"
+                f"{fields.where}.fps: expected a positive frame rate, at least {LOWEST_FPS:g} and at most "
+                f"{HIGHEST_FPS:g} per second, found {fps:g}"
             )
         return VideoSource(camera, video, fps=fps)
     return VideoSource(camera, video, stamps=_stamps(fields, folder))
