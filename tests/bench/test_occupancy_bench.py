@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin_node.bag import BagError
+from twin_node.bag import BagError, open_log
 from twin_node.bench import occupancy
 from twin_node.bench.errors import BenchError
 from twin_node.bench.occupancy import OccupancyBenchParameters, score_states
@@ -154,3 +154,23 @@ def test_a_log_is_read_as_the_chain_reads_it(cell_log: Callable[..., Path], monk
     with pytest.raises(BenchError, match="expected more than"):
         occupancy.run(cell_log(0.1), parameters=OccupancyBenchParameters(chain=chain))
     assert read == [asked]
+
+
+def test_markers_begin_with_the_log_wherever_in_it_the_scoring_begins(
+    cell_log: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[int] = []
+
+    class Told(Markers):
+        def __init__(self, path: Path, start_ns: int) -> None:
+            super().__init__(path, start_ns)
+            begun.append(start_ns)
+
+    monkeypatch.setattr(occupancy, "Markers", Told)
+    log = cell_log(0.3)
+    chain = ChainParameters(model=ModelParameters(seed=SeedParameters(steps=1)))
+    late = OccupancyBenchParameters(start_offset_s=0.2, chain=chain)
+    with pytest.raises(BenchError, match="expected more than"):
+        occupancy.run(log, write_trc(tmp_path), parameters=late)
+    with open_log(log) as opened:
+        assert begun == [opened.start_ns]

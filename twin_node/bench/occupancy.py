@@ -197,7 +197,7 @@ def score_states(
 
 def _truth_of(session: LogSession, markers: Path | None, colour: ColourOf | None) -> Truth:
     if markers is not None:
-        return Markers(markers, session.span.start_ns)
+        return Markers(markers, session.log.start_ns)  # of the whole log, wherever in it the scoring begins
     if colour is not None:
         return PixelTruth(colour)
     return truth_of(session.log)

@@ -32,11 +32,11 @@ class Markers(Truth):
     source = "markers"
 
     def __init__(self, path: Path, start_ns: int, axes: str = "zxy") -> None:
-        """The file's time 0 is `start_ns`; `axes` names the file's axes that are the base frame's x, y and z.
+        """The file's time 0 is `start_ns`, the log's start; `axes` names the file's axes that are the base frame's x, y
+        and z.
 
         OpenSim's y-up files are `zxy`. Raises `BagError` for a file that is not a `.trc` with positions.
         """
-        self._start_ns = start_ns
         table = read_trc(path)
         order = ["xyz".index(axis) for axis in axes]
         self._stamps: NDArray[np.int64] = np.round(table.times * 1e9).astype(np.int64) + start_ns

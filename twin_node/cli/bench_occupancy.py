@@ -19,7 +19,9 @@ def add_bench_occupancy(benches: Any) -> None:
     """Adds `bench occupancy`."""
     occupancy = benches.add_parser("occupancy", help="score a log's forecasts, beside the baselines")
     occupancy.add_argument("log", type=Path, metavar="LOG", help="a log; with --seeds the name of a scenario")
-    occupancy.add_argument("--markers", type=Path, metavar="FILE.trc", help="reference markers as truth")
+    occupancy.add_argument(
+        "--markers", type=Path, metavar="FILE.trc", help="truth: reference markers, which begin with the log"
+    )
     occupancy.add_argument("--hue", type=_hue, metavar="H", help="truth: pixels of this OpenCV hue (orange 8)")
     occupancy.add_argument(
         "--seeds",
