@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 import tracemalloc
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +16,19 @@ from twin_node.bag import open_log
 from twin_node.cell import Scenario, write_log
 from twin_node.cell.scenario import Body, CameraSpec, Part, Sensing
 from twin_node.forecast import ForecastParameters
+from twin_node.forecast.comparison import Comparison
 from twin_node.forecast.sights import CarvingParameters
 from twin_node.messages import convert
 from twin_node.model import ModelParameters, SeedParameters
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.log_source import LogSession
 from twin_node.nodes.replay import replay
+from twin_node.nodes.report import foresight
 from twin_node.nodes.report.foresight import score_forecasts
 from twin_node.nodes.spool import Tick
 from twin_node.nodes.synchronizer import SynchronizerParameters
 from twin_node.nodes.truth import truth_of
+from twin_node.scene import Occupancy, TwinState
 
 
 def test_baselines_stand_on_the_evidence_of_the_run(cell_log: Callable[..., Path]) -> None:
@@ -40,6 +44,29 @@ def test_baselines_stand_on_the_evidence_of_the_run(cell_log: Callable[..., Path
         others = score_forecasts(run.spool, session.log, ChainParameters(), 0).methods["persistence"]
     assert scores["ours"].moving_volume_l == scores["persistence"].moving_volume_l == 0
     assert scores["ours"].volume_l == scores["persistence"].volume_l != others.volume_l
+
+
+def test_nothing_is_compared_right_after_a_gap(cell_log: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The twin has followed meanwhile, and the baselines have not: of constant velocity they knew none."""
+    chain = ChainParameters(
+        synchronizer=SynchronizerParameters(width=64, max_rate_hz=15),
+        model=ModelParameters(seed=SeedParameters(steps=2)),
+    )
+    compared: list[int] = []
+
+    class Watched(Comparison):
+        def add(self, state: TwinState, forecasts: Mapping[str, Occupancy]) -> None:
+            compared.extend([state.stamp] if forecasts else [])
+            super().add(state, forecasts)
+
+    monkeypatch.setattr(foresight, "Comparison", Watched)
+    with LogSession(cell_log(0.9)) as session, replay(session, chain, rate=None, keep_ticks=True) as run:
+        ticks = list(run.spool or ())
+        hidden, late = [tick.stamp for tick in ticks[2:4]], ticks[4].stamp
+        cut = (replace(tick, is_after_gap=tick.stamp == late) for tick in ticks if tick.stamp not in hidden)
+        score_forecasts(cut, session.log, run.parameters, 0)
+    stamps = [tick.stamp for tick in ticks]
+    assert compared == [*stamps[:2], *(stamp for stamp in stamps if stamp >= late + 200_000_000)]
 
 
 def test_a_run_is_never_held_whole(cell_log: Callable[..., Path]) -> None:

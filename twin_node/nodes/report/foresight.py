@@ -20,6 +20,9 @@ from twin_node.scene import HORIZONS_NS, Grid, Occupancy, UInt32, View
 from twin_node.thinning import Thinning
 
 OURS = "ours"
+BLIND_NS = 200_000_000
+"""For so long after a gap no forecast is compared, ns: the twin has followed all along, but the baselines have yet to
+see how things move."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
     """Scores every forecast whose time came within the run; keeps `examples` of them, evenly spread, for pictures.
 
     The truth is the log's exact occupancy where it has one, else what the twin saw to move when the time had come. The
-    baselines, and what the twin saw, rest on the parameters and the arm of the `chain` that made the forecasts.
+    baselines, and what the twin saw, rest on the parameters and the arm of the `chain` that made the forecasts. Those
+    right after a gap are not scored (`BLIND_NS`).
     """
     truth = truth_of(log)
     comparison = Comparison(truth, "persistence")
@@ -62,7 +66,10 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
     due: deque[Occupancy] = deque()
     shown: Thinning[ForecastExample] = Thinning(examples)
     recalls: list[tuple[int, float]] = []
+    sees_from = 0
     for tick in ticks:
+        if tick.is_after_gap:
+            sees_from = tick.stamp + BLIND_NS
         if tick.state is None or tick.occupancy is None:
             continue
         ours = tick.occupancy
@@ -71,7 +78,7 @@ def score_forecasts(ticks: Iterable[Tick], log: LogReader, chain: ChainParameter
         others = baselines.update(tick.state, ours.publish_stamp)
         seen = others.persistence.layers[0].indices
         truth.observe(tick.state, others.persistence)
-        comparison.add(tick.state, {OURS: ours, **vars(others)})
+        comparison.add(tick.state, {OURS: ours, **vars(others)} if tick.stamp >= sees_from else {})
         foreseen = _come_due(due, tick.stamp)
         if foreseen is not None and len(seen):
             held = contains(ours.grid, foreseen.layers[-1].indices, seen.astype(np.int64))
