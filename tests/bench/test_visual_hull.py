@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,26 @@ def test_the_hull_lies_where_the_thing_is_and_has_the_colour_of_the_nearest_view
     assert hit[ball].mean() > 0.98
     assert hit.sum() < 1.8 * ball.sum()  # three silhouettes leave edges over
     np.testing.assert_allclose(picture[30, 40], np.array(COLOURS[nearest]) / 255, atol=0.01)
+
+
+@pytest.mark.parametrize("by", ["no image", "the arm"])
+def test_who_cannot_tell_of_a_place_neither_denies_nor_colours_it(by: str) -> None:
+    """One camera more, beside the hidden one, that has no image yet, or before which the arm stands."""
+    hidden, known = camera("hidden", 20), state()
+    more, covered = camera("more", 25), np.ones((60, 80), bool)
+    view = painted(more, (255, 255, 255), covered)
+    view = replace(view, valid=~covered) if by == "no image" else view
+    with_it = replace(
+        known,
+        frames=FrameSet(1, (*known.frames.views, view)),
+        moving_masks=(*known.moving_masks, ~covered),
+        robot_masks=(*known.robot_masks, covered if by == "the arm" else None),
+    )
+    pictures = [np.zeros((60, 80, 3), np.float32) for _ in range(2)]
+    for picture, one in zip(pictures, (known, with_it), strict=True):
+        paint_hull(picture, hidden, covered, one)
+    assert pictures[0].any()
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_ours_is_scored_beside_the_hull_on_what_moves() -> None:

@@ -1,7 +1,8 @@
 """What a left-out camera can be shown without a model: the visual hull of what moves, coloured by the nearest view.
 
-A point is in the hull where every other camera that has it in its image sees something that moves there (Laurentini
-1994); the first such point along a pixel's ray takes its colour from the camera that looks most nearly the same way.
+A point is in the hull where every other camera that has it in its image, off the arm, sees something that moves there
+(Laurentini 1994); the first such point along a pixel's ray takes its colour from the one of these that looks most
+nearly the same way.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin_node.model import MovingMask
+from twin_node.model.camera_mask import seen_by
 from twin_node.model.quality import psnr_on
 from twin_node.model.rays import look, pixel_rays
 from twin_node.nodes.report.quality import FEWEST_PIXELS, Mean, Renderings, unit
@@ -90,10 +92,11 @@ def _farthest(camera: Camera, state: TwinState) -> float:
 def _in_hull(points: Float64, state: TwinState) -> Bool:
     """[n] points that no camera denies, of those that enough cameras see."""
     views, denied = np.zeros(len(points), np.int64), np.zeros(len(points), np.bool_)
-    for view, mask in zip(state.frames.views, state.moving_masks, strict=True):
+    for view, mask, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
         seen = look(view.camera, points)
-        views += seen.inside
-        denied |= seen.inside & ~mask[seen.rows, seen.columns]
+        told = seen.inside & seen.within(seen_by(view, robot))
+        views += told
+        denied |= told & ~seen.within(mask)
     inside: Bool = ~denied & (views >= FEWEST_VIEWS)
     return inside
 
@@ -102,9 +105,10 @@ def _coloured(points: Float64, eye: Float64, state: TwinState) -> Float32:
     """[n, 3] colours of points of the hull in the cameras that look at each most nearly as from `eye`."""
     nearest = np.full(len(points), -np.inf)
     colours = np.zeros((len(points), 3), np.float32)
-    for view in state.frames.views:
+    for view, robot in zip(state.frames.views, state.robot_masks, strict=True):
         seen = look(view.camera, points)
-        alike = np.where(seen.inside, _cosines(points, eye, view.camera.T_base_cam[:3, 3]), -np.inf)
+        told = seen.inside & seen.within(seen_by(view, robot))
+        alike = np.where(told, _cosines(points, eye, view.camera.T_base_cam[:3, 3]), -np.inf)
         nearer = alike > nearest
         nearest[nearer] = alike[nearer]
         colours[nearer] = unit(view)[seen.rows, seen.columns][nearer]
