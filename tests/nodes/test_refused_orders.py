@@ -14,11 +14,14 @@ from twin_node.arm.ur import DriverMode, DriverReport, DriverState, UrParameters
 from twin_node.cli.ur_driver import _News
 from twin_node.errors import TwinError
 from twin_node.messages import Message, convert
-from twin_node.nodes.topics import DIAGNOSTICS, FOLLOW
+from twin_node.nodes.topics import DIAGNOSTICS, FOLLOW, kind_of
 from twin_node.nodes.ur_driver import TICK_S, UrDriverNode
 from twin_node.robot import ur_model
-from twin_node.runtime.bus import LocalBus
+from twin_node.runtime.bus import Bus, LocalBus
 from twin_node.runtime.clock import SteppedClock
+from twin_node.runtime.executor import Executor
+from twin_node.runtime.wire import LocalWire
+from twin_node.runtime.wire_bus import WireBus
 from twin_node.scene import JointPath
 
 NOW = 1_700_000_000_000_000_000
@@ -33,10 +36,12 @@ class Driver:
         self.on_report = on_report
         self.latest = READY
         self.followed: list[JointPath] = []
+        self.came: list[int] = []
         self.left = 0
         self.is_there = True
 
-    def follow(self, path: JointPath) -> bool:
+    def follow(self, path: JointPath, came: int) -> bool:
+        self.came.append(came)
         self.followed += [path] * self.is_there
         return self.is_there
 
@@ -51,18 +56,17 @@ class Driver:
 class Shift:
     """A node that servoes such an arm, and what is heard of it."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, bus: Bus | None = None) -> None:
         monkeypatch.setattr("twin_node.nodes.ur_driver.SupervisedDriver", Driver)
         monkeypatch.setattr(time, "monotonic_ns", lambda: self.passed)
         self.passed = 100 * SECOND
-        self.bus, self.heard = LocalBus(), list[Any]()
+        self.bus, self.heard = bus or LocalBus(), list[Any]()
         self.bus.subscribe(DIAGNOSTICS, self.heard.append)
         self.node = UrDriverNode(self.bus, SteppedClock(NOW), UrParameters(mode=DriverMode.SERVO))
         self.node.configure()
         self.node.activate()
         assert isinstance(self.node._driver, Driver)
         self.driver = self.node._driver
-        self.tick()
 
     def tick(self) -> str | None:
         """What is told to have been refused."""
@@ -74,7 +78,9 @@ class Shift:
 
 @pytest.fixture
 def shift(monkeypatch: pytest.MonkeyPatch) -> Shift:
-    return Shift(monkeypatch)
+    shift = Shift(monkeypatch)
+    shift.tick()
+    return shift
 
 
 def path(stamp: int) -> Message:
@@ -106,6 +112,19 @@ def test_a_path_of_another_time_is_refused_and_told(shift: Shift, stamp: int, fo
         shift.bus.publish(FOLLOW, path(stamp))
     assert not shift.driver.followed
     assert found in str(shift.tick())
+
+
+def test_the_driver_is_told_when_a_path_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One stamped 0 that had waited for a node held up by its console was followed as if it had just come."""
+    executor = Executor()
+    bus = WireBus(LocalWire(), executor, "ur_driver", kind_of)
+    shift = Shift(monkeypatch, bus)
+    came = shift.passed
+    bus.publish(FOLLOW, path(0))
+    shift.passed += SECOND
+    while not shift.driver.came:
+        assert executor.step(1.0)
+    assert shift.driver.came == [came]
 
 
 def test_an_old_order_to_stay_is_obeyed(shift: Shift) -> None:

@@ -18,6 +18,7 @@ from twin_node.robot.arms import ur_name
 from twin_node.runtime.bus import Bus
 from twin_node.runtime.clock import Clock, ahead_of_monotonic
 from twin_node.runtime.node import LifecycleState, Node
+from twin_node.runtime.wire import Encoded
 from twin_node.scene import NO_EVIDENCE, JointPath, JointSample
 
 DRIVER = "ur_driver"
@@ -134,7 +135,7 @@ class UrDriverNode(Node):
         self.bus.subscribe(SEPARATION, self._on_separation)
         self.bus.subscribe(ACKNOWLEDGE, self._on_acknowledge)
         if self._parameters.mode is DriverMode.SERVO:
-            self.bus.subscribe(FOLLOW, self._on_follow)
+            self.bus.subscribe_timed(FOLLOW, self._on_follow, time.monotonic_ns)
         self._offer(self)
 
     def on_activate(self) -> None:
@@ -261,9 +262,11 @@ class UrDriverNode(Node):
         moved = NO_EVIDENCE if evidence == NO_EVIDENCE else evidence + offset
         self._driver.decide(replace(separation, stamp=separation.stamp + offset, evidence_stamp=moved))
 
-    def _on_follow(self, message: Message) -> None:
+    def _on_follow(self, sent: Encoded, came: int) -> None:
+        """`came`: by the monotonic clock, ns; a console that takes no line may have held the node up since."""
         if self._driver is None:
             return
+        message = sent.decode()
         if not message.points:  # so ROS's trajectory controllers are told to stay where they are
             self._driver.leave_path()
             return
@@ -271,7 +274,7 @@ class UrDriverNode(Node):
         try:
             path = convert.joint_path_from_message(message, now)
             _check_time(header_stamp(message), path, now)
-            if not self._driver.follow(path):
+            if not self._driver.follow(path, came):
                 raise ArmError("trajectory: refused, no connection to the controller; send it again once there is one")
         except TwinError as error:
             self._refusals.append(str(error))

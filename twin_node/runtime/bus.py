@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
+from twin_node.runtime.wire import Encoded, encoded
+
+T = TypeVar("T")
 Callback = Callable[[Any], None]
 
 
@@ -17,6 +20,13 @@ class Bus(Protocol):
 
     def subscribe(self, topic: str, callback: Callback) -> None:
         """Call `callback(message)` for every message on `topic`; a latched topic's last message comes at once."""
+
+    def subscribe_timed(self, topic: str, callback: Callable[[Encoded, T], None], now: Callable[[], T]) -> None:
+        """Call `callback(encoded, came)` for every message on `topic`, undecoded.
+
+        `came`: what `now()` said when it came, which is called in any thread; it may have waited for its callback
+        since.
+        """
 
 
 class LocalBus:
@@ -52,6 +62,10 @@ class LocalBus:
         self._callbacks.setdefault(topic, []).append(callback)
         if topic in self._last:
             callback(self._last[topic])
+
+    def subscribe_timed(self, topic: str, callback: Callable[[Encoded, T], None], now: Callable[[], T]) -> None:
+        """Call `callback(encoded, came)` for every message on `topic`, undecoded; here none waits."""
+        self.subscribe(topic, lambda message: callback(encoded(message), now()))
 
     def _deliver(self, topic: str, message: Any) -> None:
         if self._is_latched(topic):

@@ -67,7 +67,7 @@ class Bench:
 def servo_bench() -> Bench:
     bench = Bench(mode=DriverMode.SERVO)
     bench.run(200)
-    bench.driver.order(Follow(quintic()), bench.now)
+    bench.driver.order(Follow(quintic(), bench.now), bench.now)
     return bench
 
 

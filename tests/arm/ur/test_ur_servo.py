@@ -43,7 +43,7 @@ def test_servo_brakes_on_its_path_when_forecasts_stop_then_leaves_the_script_to_
     bench.run(400)
     assert len(bench.link.servoed) == sent
     with pytest.raises(ArmError, match="while halted"):
-        bench.driver.order(Follow(quintic()), bench.now)
+        bench.driver.order(Follow(quintic(), bench.now), bench.now)
     bench.is_fed = True
     bench.acknowledge()
     assert bench.link.preparations == 2
@@ -122,7 +122,7 @@ def test_an_arm_that_is_as_far_behind_as_its_look_ahead_has_it_is_not_halted(mod
     turning = START + s**3 * (10 - 15 * s + 6 * s**2) * np.array([0, 0, 0, 0, 0, way])
     seconds = 1.875 * way / rating
     stamps = (s[:, 0] * seconds * 1e9).astype(np.int64)
-    bench.driver.order(Follow(JointPath(MODEL.joint_names, stamps, turning)), bench.now)
+    bench.driver.order(Follow(JointPath(MODEL.joint_names, stamps, turning), bench.now), bench.now)
     behind = []
     for _ in range(0, round(1000 * seconds) + 500, STEP_MS):
         assert bench.run(STEP_MS).state is DriverState.READY
@@ -136,8 +136,8 @@ def test_joints_are_called_as_others_know_them() -> None:
     bench = Bench(mode=DriverMode.SERVO, joints=names)
     bench.run(200)
     with pytest.raises(RobotError, match="expected left_shoulder_pan_joint, "):
-        bench.driver.order(Follow(quintic()), bench.now)
-    bench.driver.order(Follow(replace(quintic(), names=names)), bench.now)
+        bench.driver.order(Follow(quintic(), bench.now), bench.now)
+    bench.driver.order(Follow(replace(quintic(), names=names), bench.now), bench.now)
     future = bench.run(400).future
     assert future is not None and future.names == names
     assert bench.link.servoed[-1][0] > START[0]
@@ -145,11 +145,24 @@ def test_joints_are_called_as_others_know_them() -> None:
 
 def test_trajectories_are_refused_in_other_modes_and_while_one_is_followed() -> None:
     with pytest.raises(ArmError, match="expected servo mode"):
-        Bench().driver.order(Follow(quintic()), 0)
+        Bench().driver.order(Follow(quintic(), 0), 0)
     bench = servo_bench()
     bench.run(100)
     with pytest.raises(ArmError, match="another is followed"):
-        bench.driver.order(Follow(quintic()), bench.now)
+        bench.driver.order(Follow(quintic(), bench.now), bench.now)
+
+
+def test_a_path_that_has_waited_for_a_driver_that_hung_is_refused() -> None:
+    """It was followed whenever the driver went on, with nobody beside the arm who still expected that."""
+    bench = Bench(mode=DriverMode.SERVO)
+    bench.run(200)
+    with pytest.raises(ArmError, match=r"trajectory: refused, it has waited 0\.30 s"):
+        bench.driver.order(Follow(quintic(), bench.now - 300 * MS), bench.now)
+    bench.run(200)
+    np.testing.assert_allclose(bench.link.servoed[-1], START)
+    bench.driver.order(Follow(quintic(), bench.now - 100 * MS), bench.now)
+    bench.run(400)
+    assert bench.link.servoed[-1][0] > START[0]
 
 
 def test_a_path_that_is_left_is_braked_on_as_by_a_decision_and_the_arm_holds_where_that_ends() -> None:
@@ -160,7 +173,7 @@ def test_a_path_that_is_left_is_braked_on_as_by_a_decision_and_the_arm_holds_whe
     slowed.driver.order(Decide(replace(CLEAR, evidence_stamp=slowed.now, speed_fraction=0.0)), slowed.now)
     slowed.fraction = 0.0
     with pytest.raises(ArmError, match="being left; send it once the arm stands"):
-        left.driver.order(Follow(quintic()), left.now)
+        left.driver.order(Follow(quintic(), left.now), left.now)
     for bench in (left, slowed):
         bench.run(1000)
     np.testing.assert_array_equal(left.link.servoed, slowed.link.servoed)
@@ -178,7 +191,7 @@ def test_another_path_is_taken_once_the_one_that_was_left_has_been_braked_on() -
     bench.driver.order(LeavePath(), bench.now)
     bench.run(1000)
     onwards = quintic(bench.link.servoed[-1], way=-0.3)
-    bench.driver.order(Follow(onwards), bench.now)
+    bench.driver.order(Follow(onwards, bench.now), bench.now)
     bench.run(2600)
     np.testing.assert_allclose(bench.link.servoed[-1], onwards.positions[-1])
     assert bench.link.preparations == 1
@@ -188,10 +201,10 @@ def test_a_path_along_which_nobody_lets_the_arm_go_is_left_at_once() -> None:
     bench = Bench(mode=DriverMode.SERVO)
     bench.fraction = 0.0
     bench.run(200)
-    bench.driver.order(Follow(quintic()), bench.now)
+    bench.driver.order(Follow(quintic(), bench.now), bench.now)
     bench.run(200)
     bench.driver.order(LeavePath(), bench.now)
-    bench.driver.order(Follow(quintic(way=-0.3)), bench.now)
+    bench.driver.order(Follow(quintic(way=-0.3), bench.now), bench.now)
     bench.fraction = 1.0
     bench.run(2600)
     np.testing.assert_allclose(bench.link.servoed[-1], quintic(way=-0.3).positions[-1])
@@ -260,7 +273,7 @@ def halted_at_speed(**changes: object) -> Bench:
     """A servoed arm at 2.9 rad/s whose driver has just been halted, all being well otherwise."""
     bench = Bench(mode=DriverMode.SERVO, **changes)
     bench.run(200)
-    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5)), bench.now)
+    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5), bench.now), bench.now)
     bench.run(1900)
     with pytest.raises(ArmError, match="found nan"):
         bench.driver.order(Decide(replace(CLEAR, evidence_stamp=bench.now, speed_fraction=np.nan)), bench.now)
@@ -292,7 +305,7 @@ def test_a_driver_that_ends_brakes_its_arm_on_the_path_first() -> None:
     """It left the arm to servoJ's last angles, and that stopped it at five times its acceleration."""
     bench = Bench(mode=DriverMode.SERVO)
     bench.run(200)
-    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5)), bench.now)
+    bench.driver.order(Follow(quintic(way=5.5, seconds=3.5), bench.now), bench.now)
     bench.run(1900)
     assert bench.driver.stop("the driver ends")
     passed = 0

@@ -17,7 +17,7 @@ from twin_node.arm.ur.parameters import DriverMode, UrParameters
 from twin_node.arm.ur.records import Acknowledge, Decide, DriverReport, DriverState, Follow, Halt, LeavePath, Order
 from twin_node.arm.ur.sample import UrSample, implausible, not_ready
 from twin_node.arm.ur.slider import Slider
-from twin_node.scene import NO_EVIDENCE, JointPath, Separation
+from twin_node.scene import NO_EVIDENCE, Separation
 
 _FOLLOW_RAD = 0.2
 """How far the arm may be behind servoJ's target beside what it lags by the look-ahead at its fastest joint's speed."""
@@ -30,6 +30,8 @@ _HELD_UP_S = 0.08
 """A driver that was held up for so long has left the robot's watchdog, of 10 Hz, without a beat."""
 _UNSEEN_S = 5.0
 """A protective stop cannot be unlocked sooner (user manual): within it none has come and gone while nobody looked."""
+_LONGEST_WAIT_S = 0.2
+"""A path that has waited longer is one for another time: whoever sent it has seen the arm stand. As decisions have."""
 _PAUSES_S = 0.1
 """Within this time of its next beat the controller tells of the pause."""
 
@@ -87,7 +89,7 @@ class UrDriver:
         if isinstance(order, Decide):
             self._decide(order.separation, now)
         elif isinstance(order, Follow):
-            self._follow(order.path)
+            self._follow(order, now)
         elif isinstance(order, LeavePath):
             self._leave_path()
         elif isinstance(order, Acknowledge):
@@ -283,8 +285,11 @@ class UrDriver:
         self._heard = None
         self._halt = None
 
-    def _follow(self, path: JointPath) -> None:
+    def _follow(self, order: Follow, now: int) -> None:
         self._check_servo()
+        waited_s = (now - order.came) * 1e-9
+        if waited_s > _LONGEST_WAIT_S:
+            raise ArmError(f"trajectory: refused, it has waited {waited_s:.2f} s for a driver that hung; send it again")
         if self._halt is not None:
             raise ArmError(f"trajectory: refused while halted ({self._halt.reason}); acknowledge first")
         if self._sample is None:
@@ -294,7 +299,7 @@ class UrDriver:
                 raise ArmError("trajectory: refused while another is being left; send it once the arm stands")
             raise ArmError("trajectory: refused while another is followed; wait for its end or send one without points")
         lookahead_s = self._parameters.lookahead_s
-        self._follower = PathFollower(self._model, path, self._sample.target_q, lookahead_s)
+        self._follower = PathFollower(self._model, order.path, self._sample.target_q, lookahead_s)
 
     def _leave_path(self) -> None:
         self._check_servo()

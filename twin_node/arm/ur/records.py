@@ -79,6 +79,8 @@ class Follow:
     """Servo mode: follow a path from its beginning, now."""
 
     path: JointPath
+    came: int
+    """When it came, CLOCK_MONOTONIC, ns: it may have waited for a driver that hung."""
 
 
 @dataclass(frozen=True)

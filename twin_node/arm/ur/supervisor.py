@@ -81,9 +81,12 @@ class SupervisedDriver:
         """Pass on a decision, whose evidence stamp is CLOCK_MONOTONIC, ns; without a connection it is forgotten."""
         self._give(Decide(separation))
 
-    def follow(self, path: JointPath) -> bool:
-        """Servo mode: follow a path now. False: there is no connection; reports say when it was refused."""
-        return self._give(Follow(path))
+    def follow(self, path: JointPath, came: int | None = None) -> bool:
+        """Servo mode: follow a path now. False: there is no connection; reports say when it was refused.
+
+        `came`: when it was asked for, CLOCK_MONOTONIC, ns; None: now. One that has waited is refused.
+        """
+        return self._give(Follow(path, time.monotonic_ns() if came is None else came))
 
     def leave_path(self) -> bool:
         """Servo mode: brake on the path that is followed, and stay there. False: there is no connection."""
