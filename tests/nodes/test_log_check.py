@@ -21,7 +21,7 @@ from twin_node.messages import Message, convert, message_type
 from twin_node.nodes.clock_steps import clock_step
 from twin_node.nodes.log_check import LogCheck, check_log
 from twin_node.nodes.log_source import LogSession
-from twin_node.scene import JointSample, Rig, RigCamera
+from twin_node.scene import JointPath, JointSample, Rig, RigCamera
 
 MS = 1_000_000
 START = 1_700_000_000_000 * MS
@@ -234,6 +234,36 @@ def test_joints_that_end_a_replay_are_found(tmp_path: Path) -> None:
     assert topic.faults == ("2 messages with other numbers of positions or velocities than of names",)
     (topic,) = checked(tmp_path / "twice.mcap").topics
     assert topic.faults == ("messages name elbow more than once",)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "found"),
+    [
+        ("backwards", "JointTrajectory point 1: time_from_start -0.5 s is not after 0 s"),
+        ("short", "JointTrajectory point 1: 0 positions for 1 joints"),
+        ("nan", "joint path: expected finite angles"),
+        ("none", None),
+    ],
+)
+def test_trajectories_that_end_a_replay_are_found(tmp_path: Path, wrong: str, found: str | None) -> None:
+    """A log with them was called sound."""
+    path = JointPath(("elbow",), START + np.array([0, 500 * MS]), np.zeros((2, 1)))
+    with LogWriter(tmp_path / "log.mcap") as log:
+        for k in range(4):
+            message = convert.joint_path_to_message(path)
+            if k == 1:
+                message.points = []  # the arm is to stay where it is
+            elif wrong == "backwards":
+                message.points[1].time_from_start.sec, message.points[1].time_from_start.nanosec = -1, 500 * MS
+            elif wrong != "none":
+                message.points[1].positions = np.zeros(0) if wrong == "short" else np.array([np.nan])
+            log.write("/arm/trajectory", message, START + k * PERIOD)
+    (topic,) = checked(tmp_path / "log.mcap").topics
+    if found is None:
+        assert topic.faults == ()
+    else:
+        (fault,) = topic.faults
+        assert fault.startswith(found)
 
 
 URDF = """<robot name="r"><link name="base_link"/><link name="a"/><link name="b"/><link name="c"/>

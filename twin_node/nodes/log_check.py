@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.arm.path import sample_path
 from twin_node.bag import LogMessage, LogReader
 from twin_node.bag.log_times import NO_STOP
 from twin_node.errors import TwinError, TwinWarning, several
-from twin_node.messages import from_time
+from twin_node.messages import convert, from_time
 from twin_node.messages.stamps import NS_PER_S
 from twin_node.nodes.calibration import check_depth, rig_for
 from twin_node.nodes.clock_steps import clock_step
@@ -34,10 +35,12 @@ from twin_node.nodes.topics import (
     RECORDED,
     REGULAR_TYPES,
     TF_STATIC,
+    TRAJECTORY,
     CameraTopics,
     GraphError,
     has_images,
     is_depth,
+    kind_of_own,
 )
 from twin_node.scene import Float64
 
@@ -124,9 +127,13 @@ def check_log(
     unreadable: dict[str, str] = {}
     ranges = ranges_told(log)
     images = EveryImage()
+    topics = renamed(log)
+    of_paths = topics.original(TRAJECTORY)
     for message in progress(log.messages()):
         try:
             _look_at(message, seen[message.topic], every[message.topic])
+            if message.topic == of_paths and message.msgtype == kind_of_own(TRAJECTORY).msgtype:
+                _check_path(message)
             if every_image and message.msgtype in IMAGE_TYPES:
                 images.look(message.topic, message.message)
         except TwinError as error:
@@ -151,7 +158,6 @@ def check_log(
         checks.append(TopicCheck(topic.name, topic.msgtype, statistics, tuple(faults)))
     whole = [log.damage] if log.damage else []
     whole += [f"not read: {line}" for line in log.left_out]
-    topics = renamed(log)
     try:
         check_types(log, topics)
     except GraphError as error:
@@ -201,6 +207,14 @@ def _look_at(message: LogMessage, seen: _Seen, every: int) -> None:
         seen.uncarried += int(content.header.stamp.nanosec >= NS_PER_S)
         stream.delays.append(min(message.stamp - stamp, NO_STOP - 1))
     seen.count += 1
+
+
+def _check_path(message: LogMessage) -> None:
+    """Raises `TwinError` for a trajectory that nobody can go along; one without points holds the arm where it is."""
+    content: Any = message.message
+    if content.points:
+        path = convert.joint_path_from_message(content, message.stamp)
+        sample_path(path, path.stamps[:1])
 
 
 def _look_at_joints(content: Any, seen: _Seen, stream: _Stream) -> None:
