@@ -8,6 +8,7 @@ import yaml
 
 from twin_node import resources
 from twin_node.cell import CellError, load_scenario
+from twin_node.cell.bvh_body import RecordedBody
 from twin_node.cell.shapes import cubes_meet
 from twin_node.cell.world import World
 from twin_node.errors import TwinError
@@ -42,6 +43,18 @@ def test_what_is_put_or_thrown_on_the_conveyor_stays_out_of_it(name: str) -> Non
                 within = part.shape.half_extents.min() - slack_m
                 centre = (body.path.pose(step * step_ns * 1e-9) @ part.T_body_part)[None, :3, 3]
                 assert not any(cubes_meet(one, centre, within / np.sqrt(3))[0] for one in solid), (body.name, step)
+
+
+@pytest.mark.parametrize("path", sorted(resources.find("sim").glob("*.yaml")), ids=lambda path: path.stem)
+def test_nobody_ends_inside_a_wall(path: Path) -> None:
+    """The passer-by of `cross` walked into the far one, and stood in it for the last second and a half."""
+    scenario = load_scenario(path)
+    world = World(scenario)
+    walls = [part.placed for part in world.static if world.names[part.owner] == "walls"]
+    for person in scenario.people:
+        if person.motion is not None:
+            ends = RecordedBody(person, person.motion).ends(scenario.duration_s).reshape(-1, 3)
+            assert not any(cubes_meet(one, ends, 0.03).any() for one in walls), person.name
 
 
 def test_a_scenario_is_found_by_its_bare_name() -> None:
