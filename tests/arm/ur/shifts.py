@@ -79,7 +79,9 @@ class Shift:
             yield
 
     def play(self) -> None:
-        with_dashboard(self.stand_in.host, lambda dashboard: dashboard.play())
+        """Somebody presses play, where nothing plays."""
+        if self.stand_in.status().runtime_state != "PLAYING":
+            with_dashboard(self.stand_in.host, lambda dashboard: dashboard.play())
 
     def close(self) -> None:
         self._ended.set()

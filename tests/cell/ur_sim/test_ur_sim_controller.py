@@ -87,6 +87,19 @@ def test_a_paused_heart_pauses_the_program_after_the_watchdogs_period_and_play_g
     assert np.abs(machine.target.q - place).max() < 0.5  # from where it stood
 
 
+def test_a_program_that_plays_is_not_begun_anew() -> None:
+    """A second 'play' stopped the arm within one period, and had the program's approach begin again."""
+    machine = controller()
+    side = SimpleNamespace(controller=machine, version=(5, 12, 0))
+    machine.play(OwnProgram())
+    run(machine, 0.6)
+    program, speed = machine.program, fastest(machine)
+    assert answer(side, "play") == "Failed to execute: play"
+    run(machine, PERIOD_S)
+    assert machine.program is program
+    assert fastest(machine) == pytest.approx(speed, abs=0.05)
+
+
 def test_a_watchdog_may_stop_or_ignore_instead() -> None:
     for action, state in ((WatchdogAction.STOP, RuntimeState.STOPPED), (WatchdogAction.IGNORE, RuntimeState.PLAYING)):
         machine = controller(action)

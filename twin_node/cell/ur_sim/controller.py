@@ -114,8 +114,8 @@ class Controller:
         self._tell()
 
     def play(self, program: Program) -> bool:
-        """Begin a program, or go on with the one that is paused; False where the arm may not move."""
-        if not self._may_move():
+        """Begin a program, or go on with the one that is paused; False where one plays, or the arm may not move."""
+        if self.runtime_state is RuntimeState.PLAYING or not self._may_move():
             return False
         if self.runtime_state in (RuntimeState.PAUSED, RuntimeState.PAUSING) and self.program is not None:
             self.watchdogs.rearm(self.clock)
