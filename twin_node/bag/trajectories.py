@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twin_node.bag.log import BagError
-from twin_node.errors import reason
+from twin_node.errors import reason, several
 from twin_node.scene import Float64
 
 _WIDEST_M = 100.0
@@ -47,7 +47,8 @@ def checked(path: Path, names: tuple[str, ...], times: Float64, positions: Float
     infinite or span more than metres can.
     """
     if len(times) < 2 or not names:
-        raise BagError(f"{path}: expected points at two or more times, found {len(names)} points, {len(times)} times")
+        found = f"{several(len(names), 'point')} at {several(len(times), 'time')}"
+        raise BagError(f"{path}: expected points at two or more times, found {found}")
     again = [name for row, name in enumerate(names) if name in names[:row]]
     if again:
         raise BagError(f"{path}: expected every point's name once, found {again[0]!r} again; rename one of them")

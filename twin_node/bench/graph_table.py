@@ -13,6 +13,7 @@ from twin_node.bench.graph_network import NetworkFigures
 from twin_node.bench.graph_recorder import KilledFigures, RecorderFigures
 from twin_node.bench.graph_run import Percentiles
 from twin_node.bench.text_table import percent, text_table
+from twin_node.errors import several
 
 Figures = (
     LatencyFigures
@@ -76,7 +77,7 @@ def _hops(part: str, figures: HopFigures) -> Iterator[Sequence[str]]:
 
 
 def _kills(part: str, figures: KillFigures) -> Iterator[Sequence[str]]:
-    yield f"{part}: {figures.kills} times", "median s", "most s"
+    yield f"{part}: {several(figures.kills, 'time')}", "median s", "most s"
     yield "  until active again", _seconds(figures.restart_s_median), _seconds(figures.restart_s_max)
     yield from ((f"    {name}", _seconds(median)) for name, median in figures.by_process)
     yield "  until heard again", _seconds(figures.works_s_median), _seconds(figures.works_s_max)

@@ -23,6 +23,7 @@ from twin_node.cli.calibrate_hand_eye import add_hand_eye
 from twin_node.cli.calibrate_motion import add_refine, add_time
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
+from twin_node.errors import several
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -260,7 +261,7 @@ def _show_rig(figures: dict[str, Any], solution: RigSolution, output: Path) -> N
 
     cameras, shape, layout = figures["cameras"], figures["board_shape"], solution.bundle.layout
     print(
-        f"{output}: {len(cameras)} cameras, {figures['views']} views, reprojection median "
+        f"{output}: {several(len(cameras), 'camera')}, {several(figures['views'], 'view')}, reprojection median "
         f"{figures['median_reprojection_px']:.3f} px, rms {figures['rms_px']:.3f} px"
     )
     for i, (name, own) in enumerate(cameras.items()):

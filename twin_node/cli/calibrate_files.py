@@ -11,6 +11,7 @@ from tqdm import tqdm
 from twin_node.cli.arguments import add_remap, file_or_name, file_to_write, folder_to_write, positive, refuse_given
 from twin_node.cli.output import add_json, warn
 from twin_node.cli.rig_output import write_rig
+from twin_node.errors import several
 from twin_node.json_text import json_text
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def _check(options: argparse.Namespace) -> int:
         raise RigError(f"{options.rig}: {'; '.join(str(finding) for finding in verdict.findings)}")
     if not options.json:
         seen = "" if options.recording is None else f" or against {options.recording}"
-        print(f"{options.rig}: {len(rig.cameras)} cameras, nothing wrong in the numbers{seen}")
+        print(f"{options.rig}: {several(len(rig.cameras), 'camera')}, nothing wrong in the numbers{seen}")
         if verdict.agreement is not None:
             print(f"what moves fits together by {verdict.agreement:.2f} (1: fully, 0: by chance)")
     if verdict.unseen:
@@ -189,7 +190,7 @@ def _import(options: argparse.Namespace) -> None:
     unit = () if options.unit_m is None else (options.unit_m,)
     rig_file = IMPORTERS[options.format](options.source, *unit)
     write_rig(rig_file, options.output)
-    print(f"{options.output}: {len(rig_file.rig.cameras)} cameras in {rig_file.frame!r}")
+    print(f"{options.output}: {several(len(rig_file.rig.cameras), 'camera')} in {rig_file.frame!r}")
 
 
 def _report(options: argparse.Namespace) -> None:
@@ -212,7 +213,7 @@ def _report(options: argparse.Namespace) -> None:
     drawn = write_report(calibrations[0], options.rig.stem, options.output, before)
     if options.pictures is not None:
         save_pictures(drawn, options.pictures)
-    print(f"{options.output}: {len(files[0].rig.cameras)} cameras")
+    print(f"{options.output}: {several(len(files[0].rig.cameras), 'camera')}")
 
 
 def board_of(folder: Path, text: str | None) -> Board:

@@ -8,6 +8,7 @@ from typing import Any
 
 from twin_node.cli.output import warn
 from twin_node.cli.progress import counted
+from twin_node.errors import several
 
 
 def add_import(commands: Any) -> None:
@@ -48,7 +49,7 @@ def _import_video(options: argparse.Namespace) -> None:
     with counted("import", "frame") as show:
         imported = import_video(cameras, options.output, show, workspace=rig_file.rig.workspace)
     warn(*imported.warnings)
-    print(f"{options.output}: {sum(imported.frames)} images of {len(cameras)} cameras")
+    print(f"{options.output}: {several(sum(imported.frames), 'image')} of {several(len(cameras), 'camera')}")
 
 
 def _import_ply(options: argparse.Namespace) -> None:

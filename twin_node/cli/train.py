@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from twin_node.cli.arguments import add_remap, check_output, refuse_given, seed, whole, width, with_given
 from twin_node.cli.ending import SIGNALS, ended_by
+from twin_node.errors import several
 
 if TYPE_CHECKING:
     from twin_node.model.sequence import Recording, Trainer
@@ -76,8 +77,8 @@ def _train(options: argparse.Namespace) -> None:
     parameters = SynchronizerParameters(width=options.width)
     recording = read_recording(options.data, reading, parameters, options.rig, parse_remaps(options.remap))
     print(
-        f"{options.data}: {len(recording.train)} images at {recording.steps} times to learn from, "
-        f"{len(recording.held_out)} held out"
+        f"{options.data}: {several(len(recording.train), 'image')} at {several(recording.steps, 'time')} to learn "
+        f"from, {len(recording.held_out)} held out"
     )
     trainer = trainer_of(recording)
     with (
@@ -166,7 +167,7 @@ def _report(trainer: Trainer, path: Path) -> None:
     chosen = evenly(views, SCORED)
     print(
         f"{path}: {len(model.gaussians)} Gaussians, {model.parameters_count} parameters, "
-        f"PSNR {mean_psnr(model, chosen):.2f} dB on {len(chosen)} {kind} images"
+        f"PSNR {mean_psnr(model, chosen):.2f} dB on {several(len(chosen), f'{kind} image')}"
     )
     if trainer.refused:
-        print(f"{trainer.refused} steps were not taken: their gradients were not finite")
+        print(f"not taken: {several(trainer.refused, 'step')} whose gradients were not finite")

@@ -122,7 +122,7 @@ class CameraWatch:
             rest = "the twin goes on without it" if most else "nor of any other camera: the twin waits"
             faults.append(f"silent: no image since the last report; {rest}")
         elif count + ON_THE_EDGE < SLOW_SHARE * most:
-            faults.append(f"slow: {count} images where the fastest camera sent {most}")
+            faults.append(f"slow: {several(count, 'image')} where the fastest camera sent {most}")
         if extra_lag > LATE_NS:
             faults.append(f"lags: images arrive {extra_lag / 1e6:.0f} ms later after their stamps than the quickest's")
         depths = max(self._seen[totals.name].depths, 0)  # what came before the last report may be decoded after it

@@ -19,6 +19,7 @@ from twin_node.bench.stability.scenes import RATE_HZ, circling, one_box
 from twin_node.bench.text_table import markdown_table, text_table
 from twin_node.bench.track_runs import to_and_fro
 from twin_node.cell import CellSource, Scenario
+from twin_node.errors import several
 from twin_node.forecast import GridParameters
 from twin_node.nodes.chain import Chain
 from twin_node.nodes.chain_parameters import ChainParameters
@@ -262,7 +263,8 @@ def _rows(found: Length) -> Iterator[tuple[str, ...]]:
 def _verdict(found: Length) -> str:
     if found.last_over_first is None or found.growth_mb is None:
         span_s = found.parameters.span_s
-        return f"too short to tell what grows: {len(found.spans)} spans of {span_s:g} s, the first of them the start"
+        spans = several(len(found.spans), "span")
+        return f"too short to tell what grows: {spans} of {span_s:g} s, the first of them the start"
     verdict = f"last tenth over first: {found.last_over_first:.2f} times; memory {found.growth_mb:+.1f} MB"
     per_hour = found.growth_mb_per_hour
     return verdict if per_hour is None else f"{verdict}, at the end {per_hour:+.1f} MB per hour"
