@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from twin_node.bag import BagError, LogWriter, RecordingWriter, SplitParameters, open_log, reader, recording
 from twin_node.bag.folder_metadata import FolderFile, write_metadata
-from twin_node.bag.latched import SEVERAL, kept_with, standing_before
+from twin_node.bag.latched import standing_before
 from twin_node.bag.qos import profile
 from twin_node.messages import builtin_types, deserialize
 
@@ -58,16 +58,6 @@ def test_every_file_has_the_transforms_of_all_their_publishers(tmp_path: Path, t
     own = ["where things are"] if topic == "/tf_static" else []
     assert said_again == ["robot", "cameras", *own]
     assert standing == said_again
-
-
-def test_of_many_publishers_of_a_latched_topic_the_newest_are_kept() -> None:
-    """Transforms that change with every message would fill the memory, and the head of every file."""
-    kept: list[bytes] = []
-    for number in range(3 * SEVERAL):
-        kept = kept_with(kept, "/tf_static", b"%d" % number)
-    assert kept == [b"%d" % number for number in range(2 * SEVERAL, 3 * SEVERAL)]
-    assert kept_with(kept, "/tf_static", kept[0]) == [*kept[1:], kept[0]]
-    assert kept_with([b"old"], "/map", b"new") == [b"new"]
 
 
 def test_topics_of_any_name_may_be_latched(tmp_path: Path) -> None:
