@@ -211,6 +211,32 @@ def test_baked_headers_that_do_not_belong_to_their_buffers_are_named(
         load_baked(path)
 
 
+@pytest.mark.parametrize(
+    ("method", "change"),
+    [
+        *(("hexplane", {"resolution": resolution}) for resolution in (10**6, 10**30, -3)),
+        *(
+            ("hexplane", change)
+            for change in ({"columns": 10**12}, {"features": -1}, {"levels": [10**7]}, {"hidden": -1})
+        ),
+        *(("hash", {"log2_entries": entries}) for entries in (-1, 10**12)),
+        *(("hash", change) for change in ({"levels": 10**12}, {"coarsest": 0}, {"features": 10**15}, {"finest": -1})),
+    ],
+)
+def test_sizes_of_a_field_that_nobody_can_make_are_refused(
+    checkpoint: Path, tmp_path: Path, method: str, change: dict[str, object]
+) -> None:
+    """They ended in a trace of torch's, or in all memory."""
+    path = tmp_path / "file.safetensors"
+    path.write_bytes(checkpoint.read_bytes())
+    header = json.loads(_header(path))
+    header["parameters"]["method"] = method
+    header["parameters"][method] |= change
+    _resave(path, header=json.dumps(header))
+    with pytest.raises(TwinError, match=rf"^{path}: "):
+        load_checkpoint(path)
+
+
 def test_a_checkpoint_whose_field_spans_nothing_is_named(trained: Trainer, tmp_path: Path) -> None:
     path = tmp_path / "file.safetensors"
     save_checkpoint(trained, path)

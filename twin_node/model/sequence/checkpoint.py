@@ -26,7 +26,7 @@ from twin_node.model.sequence.tensor_file import (
     read_tensors,
     write_tensors,
 )
-from twin_node.model.sequence.trainer import Trainer, make_field
+from twin_node.model.sequence.trainer import Trainer, make_field, planned_field
 from twin_node.runtime.parameters import fill
 from twin_node.scene import Camera
 
@@ -86,7 +86,11 @@ class Checkpoint:
             return False
         if any(bool(value.isnan().any()) for value in self.tensors.values()):
             return False
-        field = make_field(self.box, self.header.steps, self.header.parameters)
+        try:
+            with torch.device("meta"):  # a header may ask for more than there is memory
+                field = planned_field(self.box, self.header.steps, self.header.parameters)
+        except (ArithmeticError, RuntimeError, TypeError, ValueError):
+            return False  # no field has such sizes
         expected: Mapping[str, Tensor] = {}
         of_field: list[nn.Parameter] = []
         if isinstance(field, nn.Module):

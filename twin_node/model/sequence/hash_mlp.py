@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from twin_node.model.parameters import ModelError
 from twin_node.model.sequence.field import Box, MotionHeads, SequenceMotion
+from twin_node.ranges import Range, check_ranges
 
 PRIMES = (1, 2654435761, 805459861, 3674653429)
 """Factors of the spatial hash; the first three of Mueller et al., one more prime for time."""
@@ -36,6 +38,10 @@ class HashParameters:
     """Width of the heads."""
     bend: float = 1e-2
     """Weight of the motion's second difference in time, in units of the box."""
+
+    def __post_init__(self) -> None:
+        """Raises `ModelError` for more levels or entries than anybody can make."""
+        check_ranges(self, ModelError, "hash: ", levels=Range(1, 32), log2_entries=Range(1, 32))
 
 
 class HashGrid(nn.Module):
