@@ -36,6 +36,16 @@ def test_a_log_is_learnt_and_baked(checkpoint: Path, tmp_path: Path, capfd: pyte
     assert load_baked(baked).stamps[0] == header.span.first
 
 
+def test_a_model_is_baked_once_for_each_set_of_images(checkpoint: Path, tmp_path: Path) -> None:
+    """Cameras that take theirs one after the other had it baked for every image: three times the buffers of three."""
+    header, out = load_checkpoint(checkpoint).header, tmp_path / "baked.safetensors"
+    assert len(header.stamps) > header.steps  # the cell's cameras are some milliseconds apart
+    assert main(["bake", str(checkpoint), "-o", str(out)]) == 0
+    baked = load_baked(out)
+    assert len(baked.stamps) == header.steps
+    assert (baked.stamps[0], baked.stamps[-1]) == (header.span.first, header.span.last)
+
+
 def test_playback_is_measured_on_so_many_images_at_most(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read = load_checkpoint(checkpoint)
     model, stamps = read.model, read.header.stamps[:6]

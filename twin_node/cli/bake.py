@@ -32,7 +32,12 @@ def add_bake(commands: Any) -> None:
         "source", type=Path, metavar="CHECKPOINT|LOG", help="checkpoint of twin_node train, or a log to follow"
     )
     bake.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.safetensors", help="buffers to write")
-    bake.add_argument("--steps", type=whole, metavar="N", help="bake N times, evenly over a checkpoint's span")
+    bake.add_argument(
+        "--steps",
+        type=whole,
+        metavar="N",
+        help="bake N times, evenly over a checkpoint's span (default: as many as it has sets of images)",
+    )
     bake.add_argument("--measure", action="store_true", help="compare speed and images with live evaluation")
     add_json(bake)
     add_source_options(bake)
@@ -52,8 +57,10 @@ def _bake(options: argparse.Namespace) -> None:
         refuse_given(options, ("start_offset", "duration", "max_rate", "width", "rig", "params", "remap"), why)
         checkpoint = load_checkpoint(options.source)
         model, header = checkpoint.model, checkpoint.header
-        check_size(model, options.steps or len(header.stamps))
-        stamps = header.stamps if options.steps is None else model.span.evenly(options.steps)
+        steps = options.steps or header.steps
+        check_size(model, steps)
+        is_in_step = options.steps is None and len(header.stamps) <= steps  # else its cameras each have their own times
+        stamps = header.stamps if is_in_step else model.span.evenly(steps)
         baked = bake_model(model, stamps, header.cameras)
     else:
         if options.measure or options.steps is not None:
