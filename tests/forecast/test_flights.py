@@ -11,9 +11,9 @@ from forecast_worlds import GRID
 from twin_node.forecast.bits import Bits
 from twin_node.forecast.experts import GRAVITY
 from twin_node.forecast.flights import Course
-from twin_node.forecast.landing import floors_of
+from twin_node.forecast.landing import landing_of
 from twin_node.forecast.things import Whole
-from twin_node.scene import Float64
+from twin_node.scene import Float64, Grid
 
 PERIOD = 1 / 30
 SIGMA = 0.01
@@ -143,7 +143,7 @@ def test_what_creeps_is_measured_step_by_step(speed: float) -> None:
 def falling(centers: Float64, velocity: Float64, above: Float64) -> Whole:
     count = len(centers)
     yes = np.ones(count, np.bool_)
-    return Whole(np.tile(velocity, (count, 1)), np.full(count, 0.1), yes, yes, ~yes, above)
+    return Whole(np.tile(velocity, (count, 1)), np.full(count, 0.1), yes, yes, yes.copy(), ~yes, above)
 
 
 def table_at(height: int, side: int = 0) -> Bits:
@@ -152,6 +152,10 @@ def table_at(height: int, side: int = 0) -> Bits:
     mask[5:, :, height] = True
     mask[-3:, :, : height + side] |= side > 0
     return Bits.of_mask(GRID.dims, mask.reshape(-1))
+
+
+def floors_of(grid: Grid, stands: Bits, centers: Float64, whole: Whole) -> Float64:
+    return landing_of(grid, stands, centers, np.ones(len(centers), np.bool_), whole).floors
 
 
 def test_the_parts_of_what_falls_stop_as_its_lowest_does() -> None:
@@ -178,6 +182,59 @@ def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> No
     aside = falling(centers[2:], np.array([5.0, 0.0, 0.0]), np.full(1, 0.05))
     assert np.isinf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
     assert np.isinf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
+
+
+def clear_s(center: list[float], velocity: list[float], stands: Bits, others: list[list[float]]) -> float:
+    """For how long a thing of one part that falls is clear, beside other parts that do not."""
+    centers = GRID.origin + np.array([center, *others])
+    whole = falling(centers, np.array(velocity), np.full(len(centers), 0.05))
+    whole.falling[1:] = False
+    found = landing_of(GRID, stands, centers, np.ones(len(centers), np.bool_), whole)
+    assert (found.clear_s[1:] == 0).all()
+    return float(found.clear_s[0])
+
+
+def test_what_falls_is_clear_until_shortly_before_it_lands_or_strikes_a_wall() -> None:
+    height, down, aside = 10, [0.0, 0.0, -2.0], [3.0, 0.0, 0.0]
+    fall_m = 0.2
+    above = (height + 1) * GRID.voxel_size + 0.05 + fall_m
+    lands_s = (np.sqrt(2.0**2 + 2 * 9.81 * fall_m) - 2.0) / 9.81
+    assert 0.4 * lands_s < clear_s([0.6, 0.6, above], down, table_at(height), []) < lands_s
+    wall_m = GRID.dims[0] * GRID.voxel_size - 3 * GRID.voxel_size - 0.5
+    assert 0 < clear_s([0.5, 0.6, above + 0.1], aside, table_at(height, side=19), []) < wall_m / 3.0
+    assert clear_s([0.6, 0.6, above], [0.0, 0.0, 1.0], Bits.none(GRID.dims), []) > 0.3
+
+
+def test_what_comes_off_the_table_is_clear_and_what_comes_down_on_it_is_not() -> None:
+    height = 10
+    touching = (height + 1) * GRID.voxel_size + 0.04
+    assert clear_s([0.6, 0.6, touching], [0.0, 0.5, 1.5], table_at(height), []) > 0.1
+    assert clear_s([0.6, 0.6, touching], [0.0, 0.5, -1.5], table_at(height), []) == 0
+
+
+def test_what_only_may_fall_is_never_clear() -> None:
+    centers = GRID.origin + np.array([[0.6, 0.6, 0.6]])
+    whole = falling(centers, np.array([2.0, 0.0, 0.0]), np.zeros(1))
+    whole.sure[:] = False
+    assert landing_of(GRID, Bits.none(GRID.dims), centers, np.ones(1, np.bool_), whole).clear_s == 0
+
+
+def test_what_flies_beside_something_that_moves_may_touch_it() -> None:
+    nothing, away = Bits.none(GRID.dims), [0.0, 2.0, 1.0]
+    assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, 0.25, 0.5]]) == 0
+    assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, 1.0, 0.6]]) < 0.2
+    assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, -3.0, 0.6]]) > 0.3
+
+
+def test_rims_are_nothing_that_is_touched_and_touch_nothing() -> None:
+    centers = GRID.origin + np.array([[0.6, 0.6, 0.6], [0.6, 0.62, 0.55], [0.6, 0.6, 0.23]])
+    whole = falling(centers, np.array([0.0, 0.0, -1.0]), np.array([0.05, 0.0, 0.0]))
+    whole.falling[1] = False
+    solid = np.array([True, False, False])
+    found = landing_of(GRID, table_at(10), centers, solid, whole)
+    assert found.clear_s[0] > 0.05
+    assert found.clear_s[2] == found.clear_s[0], "a thing's rims go with it"
+    assert (landing_of(GRID, table_at(10), centers, ~solid & ~whole.falling, whole).clear_s == 0).all()
 
 
 @pytest.mark.parametrize("period", [1 / 30, 1 / 15])

@@ -27,7 +27,7 @@ def of(sigma: float, flying: bool = False, alone: bool = False, falling: bool = 
 
 def both(sigmas: Float64, flying: Bool, alone: Bool, falling: Bool | None = None) -> Measured:
     falling = np.zeros(len(sigmas), np.bool_) if falling is None else falling
-    return Measured(sigmas, flying, alone, falling, np.full(len(sigmas), -np.inf))
+    return Measured(sigmas, flying, alone, falling, np.full(len(sigmas), -np.inf), np.zeros(len(sigmas)))
 
 
 def reach(measured: Measured, spread: float = 0.0, speed: float = 0.0) -> float:
@@ -154,3 +154,13 @@ def test_what_rests_is_given_no_room_at_once_and_that_of_a_hand_by_the_last_hori
     none, hand = start_radii(np.array([0.04, HORIZON]))
     assert none == 0
     assert 0.13 < hand < 0.15
+
+
+def test_what_flies_clear_of_everything_gets_no_farther_than_its_velocity_may_be_wrong() -> None:
+    no = np.zeros(3, np.bool_)
+    sigmas, clear_s = np.array([0.1, UNKNOWN_SPEED, 0.1]), np.array([0.15, 0.15, 0.0])
+    told = Measured(sigmas, ~no, ~no, ~no, np.full(3, -np.inf), clear_s)
+    horizons, reachable = np.array([0.05, 0.15, 0.2]), np.array([0.01, 0.07, REACHABLE])
+    within = told.in_flight(horizons, reachable)
+    assert np.allclose(within[0, :2], 0.02 + np.array([0.15, PERSON_SPEED]) * 0.05 + 0.01)
+    assert np.isinf(within[1:]).all() and np.isinf(within[:, 2]).all()

@@ -50,7 +50,7 @@ def test_the_factor_is_on_what_is_learnt_and_not_on_what_can_be_reached() -> Non
 
 def test_what_is_seen_to_rest_is_not_given_room_for_what_it_did_before() -> None:
     no = np.zeros(1, np.bool_)
-    seen = Measured(np.array([0.1]), flying=no, alone=no, falling=no, floors=np.full(1, -np.inf))
+    seen = Measured(np.array([0.1]), flying=no, alone=no, falling=no, floors=np.full(1, -np.inf), clear_s=np.zeros(1))
     unseen_m, seen_m = (shaken(measured).predict(HORIZONS, 3.0).radii[-1, 0] for measured in (None, seen))
     assert unseen_m > 0.3
     assert seen_m < 0.25
@@ -72,7 +72,9 @@ def test_nothing_is_forecast_below_the_floor() -> None:
 
 def test_weights_follow_what_is_told_of_nodes_and_of_experts() -> None:
     no = np.zeros(2, np.bool_)
-    measured = Measured(np.full(2, 0.1), flying=no, alone=no, falling=no, floors=np.full(2, -np.inf))
+    measured = Measured(
+        np.full(2, 0.1), flying=no, alone=no, falling=no, floors=np.full(2, -np.inf), clear_s=np.zeros(2)
+    )
     tracks, predictor = Tracks(), Predictor()
     places = np.array([[0.0, 0.0, 0.5], [0.5, 0.0, 0.5]])
     for sample in range(3):

@@ -139,7 +139,7 @@ def test_what_goes_on_or_is_not_asked_about_or_has_just_come_does_not_swerve() -
 def test_what_has_a_measured_velocity_does_not_swerve(alone: bool) -> None:
     """A limb stays in the bound of people; what moves by itself has a narrower one."""
     neither = np.zeros(1, np.bool_)
-    sure = Measured(np.full(1, 0.05), neither, np.full(1, alone), neither, np.full(1, -np.inf))
+    sure = Measured(np.full(1, 0.05), neither, np.full(1, alone), neither, np.full(1, -np.inf), np.zeros(1))
     assert not braked(34, measured=sure).swerves.held[0]
 
 

@@ -14,7 +14,7 @@ from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.carving import Carver
 from twin_node.forecast.concealing import concealed
 from twin_node.forecast.hiding import Hidden, HidingPlaces
-from twin_node.forecast.landing import floors_of
+from twin_node.forecast.landing import Landing, landing_of
 from twin_node.forecast.lone import LoneSights
 from twin_node.forecast.margin import RIM_S, Margin
 from twin_node.forecast.nearest import nearest_one
@@ -57,8 +57,8 @@ class Evidence:
     """Of the parts."""
     whole: Whole
     """What following small things as wholes tells of them."""
-    floors: Float64
-    """[M] m, heights that the middles of the parts do not get below, for what stands there; -inf where nothing does."""
+    landing: Landing
+    """What those of them meet that fall."""
     static: OccupancyLayer
     """What stands."""
     near: Task[Closest]
@@ -147,7 +147,7 @@ class Observer:
             parts=replace(parts, places=self.margin.places(parts.places)),
             motion=motion,
             whole=whole,
-            floors=floors_of(self.grid, stands, parts.centers, whole),
+            landing=landing_of(self.grid, stands, parts.centers, parts.solid, whole, own),
             static=self._standing.inner,
             near=near,
             unseen=behind,

@@ -192,7 +192,10 @@ class Forecaster:
         motion, whole = evidence.motion, evidence.whole
         association = self._tracks.follow(state.stamp * 1e-9, evidence.parts.centers, motion.velocities)
         # parts of a hull of silhouettes come and go with it: that they are new says nothing of what they are part of
-        known = Measured(motion.sigmas, whole.flying, whole.alone, whole.falling, evidence.floors)
+        landing = evidence.landing
+        known = Measured(
+            motion.sigmas, whole.flying, whole.alone, whole.falling, floors=landing.floors, clear_s=landing.clear_s
+        )
         measured = known if anew or self._had_depth(state.stamp, LONGEST_GAP_S) else None
         factor = self._control.factor
         self._predictor.advance(self._tracks.history, association, ahead_s, measured, factor, evidence.near)

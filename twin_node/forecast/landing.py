@@ -1,35 +1,101 @@
-"""What flying things will land on."""
+"""What flying things meet: where they will land, and for how long they are sure to touch nothing."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from twin_node.forecast.bits import Bits
+from twin_node.forecast.bound import PERSON_SPEED
 from twin_node.forecast.experts import GRAVITY
+from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.things import Whole
 from twin_node.scene import Bool, Float64, Grid
 
 
-def floors_of(grid: Grid, stands: Bits, centers: Float64, whole: Whole) -> Float64:
-    """[M] heights (m) that the middles of parts at `centers` [M, 3] (m) do not get below while they fall.
+@dataclass(frozen=True)
+class Landing:
+    """What M parts meet on their way, if they are of what falls."""
 
-    For what falls: what stands (`stands`, of the grid) where the lowest of its thing first comes down on it; -inf where
-    nothing does, and for all else.
+    floors: Float64
+    """[M] heights (m) that the middles do not get below: what stands where the lowest of the thing first comes down on
+    it. -inf where nothing does, and for what does not fall."""
+    clear_s: Float64
+    """[M] s for which the thing touches neither what stands nor what else moves, as far as one looks ahead; 0 for what
+    is not seen to fall."""
+
+    @classmethod
+    def none(cls, count: int) -> Landing:
+        """Of `count` parts of nothing that falls."""
+        return cls(np.full(count, -np.inf), np.zeros(count))
+
+
+def landing_of(
+    grid: Grid, stands: Bits, centers: Float64, solid: Bool, whole: Whole, own: Bits | None = None
+) -> Landing:
+    """What parts at `centers` [M, 3] (m) meet.
+
+    `stands` and `own`, the arm: masks of the grid; `solid` [M]: parts that are more than rims.
     """
-    floors = np.full(len(centers), -np.inf)
+    landing = Landing.none(len(centers))
     rows = np.flatnonzero(whole.falling)
     if len(rows) == 0:
-        return floors
-    velocities, lowest = whole.velocities[rows], centers[rows] - whole.above[rows, None] * _UP
+        return landing
+    velocities, above = whole.velocities[rows], whole.above[rows]
     fastest = float(np.linalg.norm(velocities, axis=1).max()) - GRAVITY[2] * _AHEAD_S
-    times = np.linspace(0, _AHEAD_S, 2 + int(fastest * _AHEAD_S / grid.voxel_size))[:, None, None]
-    way = lowest + times * velocities + times**2 / 2 * GRAVITY
+    times = np.linspace(0, _AHEAD_S, 2 + int(fastest * _AHEAD_S / grid.voxel_size))
+    drops = times[:, None, None] * velocities + times[:, None, None] ** 2 / 2 * GRAVITY
+    way = centers[rows] - above[:, None] * _UP + drops
     lands = _held(grid, stands, way) & ~_held(grid, stands, way + grid.voxel_size * _UP)
     first = lands.argmax(axis=0)
     height = way[first, np.arange(len(rows)), 2] - grid.origin[2]
     top = grid.origin[2] + grid.voxel_size * np.ceil(height / grid.voxel_size)
-    floors[rows] = np.where(lands.any(axis=0), top + whole.above[rows], -np.inf)
-    return floors
+    landing.floors[rows] = np.where(lands.any(axis=0), top + above, -np.inf)
+    lands &= velocities[:, 2] + times[:, None] * GRAVITY[2] < 0
+    things, thing_of = np.unique(velocities, axis=0, return_inverse=True)  # parts of a thing have one
+    for thing, velocity in enumerate(things):
+        mine = np.flatnonzero(thing_of.reshape(-1) == thing)
+        body = mine[solid[rows[mine]]]
+        if len(body) and whole.sure[rows[mine[0]]]:
+            fall, others = _Fall(times, drops[:, body[0]], centers[rows[body]]), solid.copy()
+            others[rows[body]] = False
+            strikes = fall.strikes(grid, stands if own is None else stands | own)
+            until = fall.until(lands[:, body].any(axis=1) | strikes | fall.nears(centers[others]))
+            speed = max(float(np.linalg.norm(velocity + until * GRAVITY)), _SLOW)
+            landing.clear_s[rows[mine]] = max(until - _OFF * grid.voxel_size / speed, 0.0)
+    return landing
+
+
+@dataclass(frozen=True)
+class _Fall:
+    """The way of a thing of n parts."""
+
+    times: Float64
+    """[T] s."""
+    drops: Float64
+    """[T, 3] by which it has moved then, m."""
+    centers: Float64
+    """[n, 3] of its parts now, m."""
+
+    def strikes(self, grid: Grid, mask: Bits) -> Bool:
+        """[T] whether one of its parts, but for the lower ones, which land, comes into what a mask has."""
+        middle = self.centers[:, 2].mean()
+        ways = self.centers[self.centers[:, 2] >= middle] + self.drops[:, None]
+        held = _held(grid, mask, ways)
+        since_now = np.logical_and.accumulate(held)
+        return np.asarray((held & ~since_now).any(axis=1))  # what it flies through now it does not run into
+
+    def nears(self, others: Float64) -> Bool:
+        """[T] whether one of other parts that move, at `others` [m, 3] (m) now, may be as near as to touch it."""
+        middle = self.centers.mean(axis=0)
+        size = float(np.linalg.norm(self.centers - middle, axis=1).max()) + 3 * PART_SIZE / 2
+        ways = np.linalg.norm((middle + self.drops)[:, None] - others, axis=2)
+        return np.asarray((ways < size + PERSON_SPEED * self.times[:, None]).any(axis=1))
+
+    def until(self, meets: Bool) -> float:
+        """The first time when it meets something, by `meets` [T], s; the last one where it never does."""
+        return float(self.times[meets.argmax() if meets.any() else -1])
 
 
 def _held(grid: Grid, mask: Bits, points: Float64) -> Bool:
@@ -40,5 +106,9 @@ def _held(grid: Grid, mask: Bits, points: Float64) -> Bool:
 
 
 _AHEAD_S = 0.4
-"""How far ahead it is looked what a thing comes down on, s: the last horizon and a large latency."""
+"""How far ahead it is looked what a thing meets, s: the last horizon and a large latency."""
+_OFF = 3.0
+"""By so many voxels surfaces and the thing's own may be off."""
+_SLOW = 0.5
+"""Slower than this (m/s) nothing falls for long."""
 _UP = np.array([0.0, 0.0, 1.0])

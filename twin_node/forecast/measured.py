@@ -26,6 +26,8 @@ from 83 to 300 ms: 2.0 at rest, 2.3 to 3.6 at 0.1 to 0.2 m/s, 3.4 to 5.3 up to 1
 motion capture 01_01, their velocity that of the last 33 ms)."""
 _MOST_SIGMAS = 0.5
 """Standard deviations of the velocity that the largest radius holds: a line through 0.1 s halves them."""
+PLACE = 0.02
+"""How far the parts of a flying thing may be from where they were found, m: about a voxel."""
 RATES = (
     *(_SIGMAS, _MOST_SIGMAS, _BLIND * UNKNOWN_SPEED),
     *(_ASTRAY_AT_REST, _ASTRAY_RISE, _ASTRAY, _FAST, _ASTRAY_FAST),
@@ -47,6 +49,8 @@ class Measured:
     """[M] nodes of what flies by more than its last step, and was not seen to go straight."""
     floors: Float64
     """[M] m, heights that nodes do not get below, for what stands there; -inf where nothing is known."""
+    clear_s: Float64
+    """[M] s for which what falls touches nothing; 0 for all else."""
 
     def newcomers(self, known_s: Float64, ages_s: Float64, horizon_s: float) -> Bool:
         """[M] nodes of which nothing has come true yet, and those that fall: a flight is over before more has.
@@ -74,6 +78,13 @@ class Measured:
         the root of the time for what flies. Where it is seen is soon as uncertain as how fast, and it may bounce."""
         shares: Float64 = np.where(self.flying, np.maximum(profile, np.sqrt(times))[:, None], profile[:, None])
         return shares
+
+    def in_flight(self, horizons: Float64, reachable: Float64) -> Float64:
+        """[H, M] largest radii (m) at horizons [H] in seconds of what touches nothing by then: what the error of its
+        velocity adds, and what is `reachable` [H] (m) by acceleration. Without limit for all else."""
+        astray = np.minimum(_SIGMAS * self.sigmas, PERSON_SPEED) * horizons[:, None]
+        within: Float64 = np.where(horizons[:, None] < self.clear_s, PLACE + astray + reachable[:, None], np.inf)
+        return within
 
     def start(self, horizons: Float64) -> Float64:
         """[H, M] least radii (m) at horizons [H] in seconds: `start_radii` of all but what moves by itself."""

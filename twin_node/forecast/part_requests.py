@@ -213,12 +213,12 @@ class ReachRequest(KernelRequest):
         ("nodes", c_int64),
         *((name, c_int32) for name in ("horizons", "capped")),
         *((name, c_double) for name in ("now", "last", "horizon_s", "wary_s")),
-        *((name, c_double) for name in ("multiplier", "reachable", "largest", "person_speed", "fallen")),
+        *((name, c_double) for name in ("multiplier", "reachable", "largest", "person_speed", "fallen", "place")),
         *((name, c_double) for name in ("newcomer_sigmas", "most_sigmas", "blind")),
         *((name, c_double) for name in ("astray_at_rest", "astray_rise", "astray", "fast", "astray_fast")),
-        *((name, c_void_p) for name in ("horizon", "shares", "roots", "power", "start")),
+        *((name, c_void_p) for name in ("horizon", "shares", "roots", "power", "start", "reached")),
         *((name, c_void_p) for name in ("scales", "spread", "born", "began", "turned", "speeds")),
-        *((name, c_void_p) for name in ("sigmas", "flying", "alone", "falling", "radii")),
+        *((name, c_void_p) for name in ("sigmas", "flying", "alone", "falling", "clear", "radii")),
     )
 
 

@@ -42,6 +42,12 @@ class Parts:
         """The same with the rims under labels of their own: `count` more than those of their parts."""
         return Points(self.places, np.where(self.likely, self.labels, self.labels + self.count), self.likely)
 
+    @property
+    def solid(self) -> Bool:
+        """[M] parts that are more than rims."""
+        solid: Bool = np.bincount(self.labels[self.likely], minlength=self.count) > 0
+        return solid
+
     def cells(self, grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last voxel [M, 3] of the cells that the parts are cut by; `grid` is that of `indices`."""
         side = _side(grid)

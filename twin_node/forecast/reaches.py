@@ -79,16 +79,19 @@ def reaches(known: Known, bound: Bound, factor: float, span: Span) -> Float64:
 def _reaches_by(compiled: Kernels, known: Known, bound: Bound, factor: float, span: Span) -> Float64:
     horizons, told, last = span.horizons, known.measured, float(span.horizons[-1])
     radii = np.empty((len(horizons), len(known.born)))
-    by_time = (horizons, span.shares, np.sqrt(horizons / last), horizons**1.5, measured.start_radii(horizons))
+    starts, reached = measured.start_radii(horizons), _reachable(known, bound, horizons)
+    by_time = (horizons, span.shares, np.sqrt(horizons / last), horizons**1.5, starts, reached)
     by_node = (*known.expected, known.born, known.began, known.turned, known.speeds)
-    velocities = (None,) * 4 if told is None else (told.sigmas, told.flying, told.alone, told.falling)
+    kinds = (None,) * 4 if told is None else (told.flying, told.alone, told.falling, told.clear_s)
+    velocities = (None if told is None else told.sigmas, *kinds)
     given = [None if array is None else np.ascontiguousarray(array) for array in (*by_time, *by_node, *velocities)]
     sizes = (radii.shape[1], len(horizons), span.capped)
     times = (known.now, last, known.horizon_s, WARY * last)
     lengths = (factor * bound.quantile, bound.reachable(last, known.stale_s), LARGEST_RADIUS)
     compiled.run(
         ReachRequest(
-            *sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), *measured.RATES, *addresses_of(*given, radii)
+            *(*sizes, *times, *lengths, PERSON_SPEED, measured.fallen(last), measured.PLACE, *measured.RATES),
+            *addresses_of(*given, radii),
         )
     )
     return radii
@@ -107,9 +110,15 @@ def reaches_reference(known: Known, bound: Bound, factor: float, span: Span) -> 
     reach = told.reach(known.expected.spread, known.speeds, reachable, last)
     radii = np.where(told.newcomers(known.now - known.born, ages, known.horizon_s), reach, radii)
     within = told.sooner(horizons / last, span.shares) * np.minimum(radii, largest)
+    within = np.minimum(within, told.in_flight(horizons, _reachable(known, bound, horizons)))
     if span.capped:
         within = np.minimum(within, told.most(known.speeds, horizons))
     return np.maximum(within, np.minimum(told.start(horizons), largest))
+
+
+def _reachable(known: Known, bound: Bound, horizons: Float64) -> Float64:
+    """[H] how far the largest acceleration takes a node by then, m."""
+    return np.array([bound.reachable(horizon, known.stale_s) for horizon in horizons.tolist()])
 
 
 WARY = 2.0

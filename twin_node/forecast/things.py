@@ -37,6 +37,8 @@ class Whole:
     """[M] parts of what falls freely, or goes faster than people do."""
     falling: Bool
     """[M] parts of what flies by more than its last step, and was not seen to go straight."""
+    sure: Bool
+    """[M] parts of what is seen to fall freely, and not only taken for that."""
     rested: Bool
     """[M] parts of what has kept still since it was first followed (`Course.has_rested`)."""
     above: Float64
@@ -46,7 +48,8 @@ class Whole:
     def none(cls, count: int) -> Whole:
         """Of `count` parts of nothing that was followed."""
         no = np.zeros(count, np.bool_)
-        return cls(np.zeros((count, 3)), np.full(count, np.inf), no, no.copy(), no.copy(), np.zeros(count))
+        zeros, never = np.zeros((count, 3)), np.full(count, np.inf)
+        return cls(zeros, never, no, no.copy(), no.copy(), no.copy(), np.zeros(count))
 
     @property
     def trusts(self) -> Float64:
@@ -97,7 +100,7 @@ class Things:
             now.courses[mine], now.velocities[mine], chosen = course, course.velocity, labels == mine
             whole.velocities[chosen], whole.sigmas[chosen] = course.velocity, course.velocity_sigma
             whole.flying[chosen], whole.falling[chosen] = course.flies, course.is_flight
-            whole.rested[chosen] = course.has_rested
+            whole.sure[chosen], whole.rested[chosen] = bool(course.falls), course.has_rested
             whole.above[chosen] = parts.centers[chosen, 2] - now.lowest[mine]
         return whole
 
@@ -189,7 +192,7 @@ def gather_reference(parts: Parts) -> Gathered:
 
 def _things(parts: Parts) -> NDArray[np.int64]:
     """Thing [M] of each part."""
-    solid = np.flatnonzero(np.bincount(parts.labels[parts.likely], minlength=parts.count))
+    solid = np.flatnonzero(parts.solid)
     labels = np.full(parts.count, -1, np.int64)
     if len(solid) == 0:
         return labels

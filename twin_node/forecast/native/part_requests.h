@@ -240,16 +240,19 @@ struct ReachRequest {
   double now, last, horizon_s, wary_s;       // s; s ahead; who has been known for less is new; what turned since is wary
   double multiplier, reachable, largest;     // of scales; m
   double person_speed, fallen;               // m/s; m that what falls gets in the last horizon
+  double place;                              // m that parts of a flying thing may be from where they were found
   double newcomer_sigmas, most_sigmas;       // standard deviations of the velocity that bounds hold
   double blind;                              // m/s, from which on a velocity is not known
   double astray_at_rest, astray_rise;        // how far people get from where they go straight on: rates over time^1.5,
   double astray, fast, astray_fast;          // and how they grow with the speed, m/s
   const double *horizon, *shares;            // [horizons] s ahead; of the radius at the last
   const double *roots, *power, *start;       // [horizons] root of the share of the last; time^1.5; m that what rests gets
+  const double *reached;                     // [horizons] m by acceleration
   const double *scales, *spread;             // [nodes] m, expected errors, and by how much experts differ
   const double *born, *began, *turned;       // [nodes] s
   const double *speeds, *sigmas;             // [nodes] m/s
   const uint8_t *flying, *alone, *falling;   // [nodes] 1: as in Measured
+  const double *clear;                       // [nodes] s, as in Measured
   double *radii;                             // [horizons, nodes] m
 };
 

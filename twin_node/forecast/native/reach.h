@@ -37,6 +37,10 @@ FORECAST_ROUNDED inline void reach(const ReachRequest &r) {
       within = r.shares[h] * radius;
       if (r.sigmas == nullptr) continue;
       if (r.flying[i]) within = most_of(r.shares[h], r.roots[h]) * radius;
+      if (r.horizon[h] < r.clear[i]) {
+        const double astray = least_of(r.newcomer_sigmas * r.sigmas[i], r.person_speed) * r.horizon[h];
+        within = least_of(within, r.place + astray + r.reached[h]);
+      }
       if (r.capped && !r.flying[i] && !(r.sigmas[i] >= r.blind)) {
         const double rate = least_of(r.astray_at_rest + r.astray_rise * r.speeds[i], r.astray) +
                             r.astray_fast * most_of(r.speeds[i] - r.fast, 0);
