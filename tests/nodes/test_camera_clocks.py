@@ -11,6 +11,7 @@ import pytest
 from twin_node.bag import LogWriter, open_log, write_rig
 from twin_node.errors import TwinWarning
 from twin_node.geometry import pose
+from twin_node.messages import header_stamp, to_time
 from twin_node.messages.convert import camera_info, compressed_image, joint_sample_to_message
 from twin_node.nodes.log_source import LogSession, LogSource
 from twin_node.nodes.synchronizer import SynchronizerParameters
@@ -64,6 +65,25 @@ def test_clocks_of_videos_that_count_from_their_start_are_not_put_on_a_log(log: 
         assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, 0]
     with LogSession(log, Rig((steady, drifting))) as session:
         assert [camera.time_offset_ns for camera in session.rig.cameras] == [0, OFFSET_NS]
+
+
+def test_a_clock_that_counts_from_its_start_is_that_of_stamps_which_do_whenever_they_were_recorded(
+    log: Path, tmp_path: Path
+) -> None:
+    """What `calibrate time` had found of a camera that stamps by when it was switched on was left out again."""
+    steady, drifting = a_rig().cameras
+    path = tmp_path / "since_on.mcap"
+    with open_log(log) as read, LogWriter(path) as written:
+        for one in read.messages():
+            message = one.message
+            if one.topic.startswith("/drifting/"):
+                since_on = to_time(header_stamp(message) - START)
+                message = replace(message, header=replace(message.header, stamp=since_on))
+            written.write(one.topic, message, one.stamp)
+    timed = replace(drifting, time_offset_ns=START + OFFSET_NS, time_reference_ns=1_000_000_000)
+    with LogSession(path, Rig((steady, timed))) as session:
+        assert session.rig.cameras[1].time_offset_ns == START + OFFSET_NS
+        assert all(len(frames.views) == 2 for frames in LogSource(session, SynchronizerParameters()))
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,12 @@ import numpy as np
 from twin_node.bag import LogReader
 from twin_node.bag.latched import is_of_several
 from twin_node.bag.rig import RigRecord, read_rig_record
-from twin_node.messages import MessageError
+from twin_node.messages import MessageError, header_stamp
 from twin_node.messages.convert import BASE_FRAME, TransformTree, of_pair, rig_camera
 from twin_node.nodes.contents import content_of
 from twin_node.nodes.topics import TF, TF_STATIC, CameraTopics, GraphError, is_rectified
 from twin_node.rig import load_rig
-from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clocks
+from twin_node.rig.clock_kinds import SINCE_1970_NS, without_other_clock
 from twin_node.rig.rig_checks import MAX_DISTANCE_M
 from twin_node.rig.undistort import is_straight
 from twin_node.scene import Float64, Rig, RigCamera
@@ -68,7 +68,7 @@ def rig_for(log: LogReader, cameras: Sequence[CameraTopics], rig_file: Path | Ri
         found = _rig_of_log(log, cameras, tf_static)
         return replace(found, rig=_with_depth_lenses(found.rig, log, cameras))
     given, name = (rig_file, "the rig") if isinstance(rig_file, Rig) else (load_rig(rig_file).rig, str(rig_file))
-    matched = without_other_clocks(_matched(given, cameras, name, log.path), since_1970=log.start_ns >= SINCE_1970_NS)
+    matched = _by_their_stamps(_matched(given, cameras, name, log.path), log, cameras)
     has = [camera.name for camera in given.cameras]
     left_out = (
         f"camera '{camera.name}' is left out: {name} has {', '.join(has)} alone"
@@ -122,6 +122,17 @@ def _matched(rig: Rig, cameras: Sequence[CameraTopics], rig_name: str, log: Path
             "/<camera>/image_raw where the command has that"
         )
     return rig
+
+
+def _by_their_stamps(rig: Rig, log: LogReader, cameras: Sequence[CameraTopics]) -> Rig:
+    """The rig without clocks that were timed by stamps of another kind than the camera's in the log, whose times of
+    recording may be of that kind all the same."""
+    timed = {camera.name for camera in rig.cameras if camera.time_reference_ns}
+    images = {camera.image: camera.name for camera in cameras if camera.name in timed}
+    first = _first_messages(log, images)
+    since = {name: header_stamp(first[topic]) >= SINCE_1970_NS for topic, name in images.items() if topic in first}
+    known = (without_other_clock(one, since[one.name]) if one.name in since else one for one in rig.cameras)
+    return replace(rig, cameras=tuple(known))
 
 
 def check_depth(log: LogReader, cameras: Sequence[CameraTopics], tf_static: str) -> None:
