@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from twin_node.cell import load_scenario
@@ -13,7 +14,7 @@ from twin_node.nodes.launch.launch_file import read_launch_file
 from twin_node.rig import load_rig
 from twin_node.robot import arm_model
 from twin_node.runtime.parameters import read_parameters
-from twin_node.yaml_file import read_yaml
+from twin_node.yaml_file import parse_yaml, read_yaml, yaml_text
 
 READERS: dict[str, Callable[[Path], object]] = {
     "a parameter file": read_parameters,
@@ -110,3 +111,8 @@ def test_what_cannot_be_read_is_one_error(tmp_path: Path, kind: str, content: by
     if content is not None:
         assert f"expected {kind}" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_numpy_are_written_as_such_that_are_read() -> None:
+    content = {"rate": np.float64(-194.5), "width": np.float32(0.5), "count": np.int64(3), "certain": np.bool_(True)}
+    assert parse_yaml(yaml_text(content)) == {"rate": -194.5, "width": 0.5, "count": 3, "certain": True}

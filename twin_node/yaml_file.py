@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from twin_node.errors import TwinError, reason, repeated
@@ -54,8 +55,8 @@ def parse_yaml(text: str, texts_of: str | None = None) -> object:
 
 
 def yaml_text(content: object) -> str:
-    """Content as YAML, in its own order."""
-    return yaml.dump(content, sort_keys=False, default_flow_style=None, width=120)
+    """Content as YAML, in its own order; numbers of NumPy as such of Python."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120)
 
 
 def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
@@ -65,6 +66,14 @@ def write_yaml(path: Path, content: object, error: type[TwinError]) -> None:
     """
     with whole_file(path, error) as partial:
         partial.write_text(yaml_text(content), encoding="utf-8")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes nothing that `parse_yaml` does not read: PyYAML's own writes a number of NumPy as an object of Python."""
+
+    def represent_data(self, data: Any) -> yaml.Node:
+        node: yaml.Node = super().represent_data(data.item() if isinstance(data, np.generic) else data)
+        return node
 
 
 class _Loader(yaml.SafeLoader):

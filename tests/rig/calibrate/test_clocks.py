@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,13 +14,13 @@ from hypothesis import strategies as st
 
 from twin_node.cell import CellSource, load_scenario
 from twin_node.geometry import looking_at, project
-from twin_node.rig import RigError
+from twin_node.rig import RigError, RigFile, load_rig, save_rig
 from twin_node.rig.calibrate.arm_features import ArmClock, Tracks, _Fit, follow, spread_of
 from twin_node.rig.calibrate.arm_motion import Film, JointCourse
 from twin_node.rig.calibrate.clocks import CameraClock, _by_features, _films, calibrate_clocks
 from twin_node.rig.calibrate.shifts import Costs, best_shift
 from twin_node.robot import arm_model
-from twin_node.scene import Camera, FrameSet, JointSample, RigCamera, View
+from twin_node.scene import Camera, FrameSet, JointSample, Rig, RigCamera, View
 
 SHIFTS = np.arange(-25, 26) * 0.004
 
@@ -161,6 +162,18 @@ def test_a_correction_comes_on_top_of_what_is_corrected_already() -> None:
         assert abs(clock.ahead_of(ahead_ns).applied(camera).rig_time(stamp) - found) <= 10
     still = replace(clock, rate_ppm=4.0).applied(replace(camera, time_rate_ppm=0.0))
     assert still.time_rate_ppm == 0  # a rate within its error is none
+
+
+def test_a_rig_with_a_rate_that_was_found_is_read_again(tmp_path: Path) -> None:
+    """Sums over tracks are NumPy's: what `calibrate time` wrote of a certain rate no command could read."""
+    clock = ArmClock(np.float64(0.01), np.float64(-190e-6), np.diag([1e-8, 1e-10]), 5.0, 100, 0.1)
+    K = np.array([[60.0, 0, 31], [0, 60, 23], [0, 0, 1]])
+    stamps = np.array([10**18, 10**18 + 10**10])
+    film = Film(Camera("c", 64, 48, K, np.eye(4)), stamps, np.zeros((2, 48, 64), np.uint8))
+    camera = RigCamera("c", 64, 48, K, np.eye(4))
+    timed = _by_features(film, 10**18, clock).applied(camera)
+    save_rig(RigFile(Rig((timed,))), tmp_path / "rig.yaml")
+    assert load_rig(tmp_path / "rig.yaml").rig.cameras[0].time_rate_ppm == pytest.approx(-190.0)
 
 
 def test_a_clock_that_drifts_is_told_as_of_the_recordings_middle() -> None:
