@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,11 @@ import pytest
 
 from twin_node.bag import LogWriter, open_log
 from twin_node.cli import main
+from twin_node.cli.calibrate_motion import _with_other_clocks
 from twin_node.messages import header_stamp, to_time
-from twin_node.rig import load_rig, save_rig
+from twin_node.rig import RigFile, load_rig, save_rig
 from twin_node.rig.evidence import CameraEvidence
+from twin_node.scene import Rig, RigCamera
 
 AHEAD_NS = 500_000_000
 
@@ -110,3 +113,15 @@ def test_time_says_what_is_missing(cell_log: Callable[..., Path], refused: Calla
     assert "expected at least 20 images to time its motion by, found" in refused(
         "calibrate", "time", cell_log(1.2), "--duration", "0.3"
     )
+
+
+def test_a_clock_that_was_found_goes_before_one_of_other_stamps(tmp_path: Path) -> None:
+    """Of the others nothing is known but what the file said, and they are said to be left as they are."""
+    K = np.array([[60.0, 0, 31], [0, 60, 23], [0, 0, 1]])
+    plain = (RigCamera("left", 64, 48, K, np.eye(4)), RigCamera("right", 64, 48, K, np.eye(4)))
+    live = {"time_offset_ns": 12_000_000, "time_rate_ppm": 30.0, "time_reference_ns": 1_760_000_000 * 10**9}
+    save_rig(RigFile(Rig(tuple(replace(camera, **live) for camera in plain))), tmp_path / "live.yaml")
+    found = replace(plain[1], time_offset_ns=-5_000_000, time_reference_ns=20 * 10**9)
+    told = _with_other_clocks(Namespace(rig=tmp_path / "live.yaml"), RigFile(Rig((plain[0], found))))
+    assert [camera.time_offset_ns for camera in told.rig.cameras] == [12_000_000, -5_000_000]
+    assert [camera.time_rate_ppm for camera in told.rig.cameras] == [30.0, 0.0]
