@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from twin_logs import START, cloud_at, with_notes
+from twin_logs import START, cloud_at, obstacles_at, with_notes
 
 from twin_node.bag import LogWriter, RecordingWriter, open_log
 from twin_node.cli import main
 from twin_node.messages import convert
 from twin_node.model.ply import stored_from_cloud, write_ply
 from twin_node.nodes.export import LogSource
-from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES
+from twin_node.nodes.topics import GAUSSIANS, JOINT_STATES, OBSTACLES
 from twin_node.robot import ur_model
 from twin_node.scene import GaussianCloud, JointSample
 
@@ -70,6 +70,19 @@ def test_wrong_wishes_are_one_line(
     twin_log: Path, refused: Callable[..., str], arguments: list[str], message: str
 ) -> None:
     assert message in refused("export", twin_log, *arguments, "--arm", "ur5e")
+
+
+def test_where_gaussians_are_missing_is_told_by_the_times_of_the_options(
+    tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    with LogWriter(tmp_path / "late.mcap") as log:
+        log.write(OBSTACLES, convert.obstacles_to_message(obstacles_at(0, START)), START)
+        late = START + 2_000_000_000
+        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), late), late)
+    out = tmp_path / "a.ply"
+    for times in (("--at", 1.25), ("--start", 1.25)):
+        told = refused("export", tmp_path / "late.mcap", "--to", "ply", "-o", out, *times)
+        assert "expected Gaussians at 1.250 s of the log, found none" in told
 
 
 def test_a_log_that_breaks_off_is_told_and_read_as_far_as_it_goes(

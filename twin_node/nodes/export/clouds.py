@@ -28,8 +28,9 @@ def write_clouds(moments: Moments, path: Path, write: WriteCloud) -> None:
         path.mkdir()
     for number, moment in enumerate(moments):
         if moment.cloud is None:
+            seconds = (moment.stamp - moments.source.start_ns) / 1e9
             raise ExportError(
-                f"{path.name}: expected Gaussians at {moment.seconds:.3f} s, found none; choose a later --start, or a "
+                f"{path.name}: expected Gaussians at {seconds:.3f} s of the log, found none; choose a later time, or a "
                 "log that 'twin_node replay LOG -o FILE' has written"
             )
         stored = stored_from_cloud(moment.cloud)
