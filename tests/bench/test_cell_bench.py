@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from twin_node import resources
-from twin_node.bench import cell, cell_scores
-from twin_node.bench.cell_case import PERFECT, CellCase
+from twin_node.bench import cell, cell_picture, cell_scores
+from twin_node.bench.cell_case import PERFECT, CellCase, Policy
 from twin_node.bench.cell_picture import draw
 from twin_node.bench.cell_scores import score
 from twin_node.bench.cell_twin import Pace, TwinRun, TwinTiming
@@ -73,6 +73,25 @@ def test_a_picture_is_drawn_or_the_reason_given(
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match="choose another folder"):
         draw(results, parameters, tmp_path / "file")
+
+
+def test_what_is_drawn_is_as_late_as_what_was_scored(
+    results: list[cell.CaseResult], short: FilePath, tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a twin that was 95 ms late the curves of perfect perception were those of one of 33 ms."""
+    late: list[int] = []
+
+    class Drawn(CellCase):
+        def run(self, policy: Policy) -> LoopRecord:
+            late.append(self.timing.latency_ns)
+            return super().run(policy)
+
+    monkeypatch.setattr(cell_picture, "CellCase", Drawn)
+    parameters = cell.CellBenchParameters((str(short),), seeds=1, processes=1)
+    timed = replace(results[0], timing=TwinTiming(3, 0, np.array([85.0, 95.0, 95.0])))
+    for result in (results[0], timed):
+        draw([result], parameters, tmp_path / "out")
+    assert late == [33_000_000] * 2 + [95_000_000] * 2
 
 
 def held(case: CellCase, phase_ns: float, share: float) -> LoopRecord:

@@ -26,7 +26,7 @@ COLOURS = {"present_only": "#b9b9b9", "worst_case": "#c8553d", "ours": "#2a6f97"
 def draw(results: Sequence[CaseResult], parameters: CellBenchParameters, folder: Path) -> Path:
     """Writes `cell.png` into a folder, which is made where it is missing; the first result's scenario is run again.
 
-    That is with perfect perception: a twin in the loop is not run again.
+    That is with perfect perception, as late as the figures have it: a twin in the loop is not run again.
 
     Raises `BenchError` where the folder cannot be written.
     """
@@ -35,7 +35,8 @@ def draw(results: Sequence[CaseResult], parameters: CellBenchParameters, folder:
     _draw_work(rows[0], results)
     first = results[0]
     scenario = next(s for s in map(load_scenario, parameters.scenarios) if s.name == first.scenario)
-    case = CellCase(scenario.with_seed(first.seed), parameters.latency_ms, parameters.loop)
+    latency_ms = parameters.latency_ms if first.timing is None else first.timing.usual_ms
+    case = CellCase(scenario.with_seed(first.seed), latency_ms, parameters.loop)
     _draw_run(rows[1], rows[2], case, PERFECT, "perfect perception" if parameters.twin else "ours")
     _draw_run(rows[1], rows[2], case, WORST_CASE, WORST_CASE.name)
     rows[1].set_title(f"{first.scenario}, seed {first.seed}", loc="left")
