@@ -54,6 +54,22 @@ def test_json_has_the_stable_names_and_every_joint(bench: forecast.ForecastBench
     assert printed["target"] == 0.99
 
 
+def test_nothing_is_known_of_the_time_between_samples_that_are_missing(tmp_path: Path) -> None:
+    """A straight line across the gap was taken for the truth."""
+    header, *rows = write_csv(tmp_path / "whole.csv", 6.0).read_text().splitlines()
+    lost = range(220, 260)
+    files = {
+        "rows.csv": [row for number, row in enumerate(rows) if number not in lost],
+        "cells.csv": [row.split(",")[0] + 6 * "," if number in lost else row for number, row in enumerate(rows)],
+    }
+    scores = []
+    for name, kept in files.items():
+        (tmp_path / name).write_text("\n".join([header, *kept]))
+        scores.append(forecast.run(tmp_path / name, forecast.ForecastBenchParameters(noise_m=0.0)))
+    assert scores[0].samples == scores[1].samples
+    assert scores[0].score.error_mm["persistence"] == pytest.approx(scores[1].score.error_mm["persistence"])
+
+
 def test_the_same_seed_gives_the_same_scores(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "swing.csv", 4.0)
     one, other = (forecast.run(path, forecast.ForecastBenchParameters(seed=2)).score for _ in range(2))

@@ -156,14 +156,16 @@ def _chosen(path: Path, names: tuple[str, ...], wanted: Iterable[str]) -> list[i
 
 
 def _truth(trajectories: Trajectories) -> Callable[[float], Float64]:
-    """Positions at any time, interpolated; NaN after the end."""
+    """Positions at any time, interpolated; NaN after the end, and where samples are missing."""
+    longest_s = _MOST_STEPS / trajectories.rate_hz
 
     def at(moment: float) -> Float64:
         times = trajectories.times
         after = int(np.searchsorted(times, moment - _SAME_S))
-        if after == len(times):
-            return np.full(trajectories.positions.shape[1:], np.nan)
         before = max(after - 1, 0)
+        is_told = after < len(times) and (times[after] - times[before] <= longest_s or times[after] - moment <= _SAME_S)
+        if not is_told:
+            return np.full(trajectories.positions.shape[1:], np.nan)
         share = np.clip((moment - times[before]) / max(times[after] - times[before], _SAME_S), 0, 1)
         between: Float64 = (1 - share) * trajectories.positions[before] + share * trajectories.positions[after]
         return between
@@ -173,6 +175,8 @@ def _truth(trajectories: Trajectories) -> Callable[[float], Float64]:
 
 _SAME_S = 1e-4
 """Times this close are the same, s: what is left of a frame time written with four digits."""
+_MOST_STEPS = 3.5
+"""Samples of a file that are so many of its usual steps apart tell nothing of the time between them."""
 
 
 def _score(foretold: Foretold, scored: Bool, joints: list[int]) -> ForecastScore:
