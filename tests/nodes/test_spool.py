@@ -50,6 +50,18 @@ def test_an_hour_is_kept_in_whole_seconds_spread_over_it() -> None:
     assert kept[-1] > 3400 * 30
 
 
+@pytest.mark.parametrize("apart_s", [-7, -0.04, 1234.5])
+def test_the_first_set_is_kept_whatever_clock_it_is_stamped_by(apart_s: float) -> None:
+    """All that is scored is held against it: the model begins with it."""
+    with Spool(0, 3600 * SECOND, 30) as spool:
+        stamps = [round(apart_s * SECOND) + i * SECOND // 30 for i in range(3600 * 30)]
+        kept = [i for i, stamp in enumerate(stamps) if spool.keeps(stamp)]
+        assert kept[:31] == [*range(30), kept[30]] and kept[30] > 150
+        for i in kept[:32]:
+            spool.add(Tick(FrameSet(stamp=stamps[i], views=(), sequence=i)))
+        assert [tick.is_after_gap for tick in spool] == [False] * 30 + [True, False]
+
+
 def test_the_first_set_of_every_block_but_the_first_tells_of_the_gap_before_it() -> None:
     with Spool(0, 3600 * SECOND, 30) as long, Spool(0, 10 * SECOND, 30) as short:
         for spool in (long, short):

@@ -46,8 +46,9 @@ class Spool:
     """Ticks on disk, which a thread of its own writes; safe to fill from two threads."""
 
     def __init__(self, start_ns: int, stop_ns: int, rate_hz: float) -> None:
-        """Expects sets at `rate_hz` over the given span and keeps at most about `MAX_SETS` of them."""
-        self._start_ns = start_ns
+        """Expects sets at `rate_hz` over a span as long as the given one and keeps at most about `MAX_SETS` of them."""
+        self._first_ns: int | None = None
+        """Stamp of the first set that was told of."""
         blocks = max(1, int(MAX_SETS / max(rate_hz, 1.0)))
         self._period_ns = max(BLOCK_NS, (stop_ns - start_ns) // blocks)
         try:
@@ -79,8 +80,11 @@ class Spool:
         return self._period_ns <= BLOCK_NS
 
     def keeps(self, stamp: int) -> bool:
-        """Whether a set with this stamp is among those kept."""
-        return (stamp - self._start_ns) % self._period_ns < BLOCK_NS
+        """Whether a set with this stamp is among those kept; the first that is asked about is, and begins them.
+
+        So all are held against the image that the model begins with, whatever clock images are stamped by.
+        """
+        return self._into(stamp) % self._period_ns < BLOCK_NS
 
     def add(self, tick: Tick) -> None:
         """Append a tick whose stamp `keeps`; raises what kept one before from being written."""
@@ -96,10 +100,16 @@ class Spool:
             self._file.seek(offset)
             data, *arrays = [bytearray(self._file.read(size)) for size in sizes]
             tick = pickle.loads(data, buffers=arrays)
-            block = (stamp - self._start_ns) // self._period_ns
+            block = self._into(stamp) // self._period_ns
             is_first = before is not None and block != before and self._period_ns > BLOCK_NS
             yield replace(tick, is_after_gap=True) if is_first else tick
             before = block
+
+    def _into(self, stamp: int) -> int:
+        """How long after the first set one of a stamp is, ns; 0 before it, as another thread may be."""
+        if self._first_ns is None:
+            self._first_ns = stamp
+        return max(stamp - self._first_ns, 0)
 
     def _settle(self) -> None:
         """Waits until all ticks are written; raises what has kept one from being."""
