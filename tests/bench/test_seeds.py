@@ -72,6 +72,18 @@ def test_what_was_in_view_is_asked_for_where_it_has_come_once_it_had_moved(scena
     assert np.count_nonzero(shown[:, 2] > bottom) > 0.8 * len(shown)  # no camera looks at it from below
 
 
+def test_what_is_seen_later_does_not_change_what_is_asked_of_a_forecast(scenario: Scenario) -> None:
+    source = CellSource(scenario)
+    sightings = Sightings(source.simulated, default_grid(np.array(scenario.workspace)))
+    truth, asked = SeenSurfaces(sightings), []
+    for frames in source:
+        sightings.look(frames)
+        asked.append((frames.stamp, truth.points(frames.stamp + AHEAD_NS, frames.stamp)))
+    assert any(points is not None and len(points) for _, points in asked[:-1])
+    for stamp, points in asked:
+        np.testing.assert_array_equal(truth.points(stamp + AHEAD_NS, stamp), points)
+
+
 def test_a_scenario_gets_one_line_and_the_figures_of_its_runs() -> None:
     bench = run_seeds("conveyor", range(1, 2), OccupancyBenchParameters(chain=NARROW, duration_s=0.75))
     heading, rule, line = table([bench]).splitlines()

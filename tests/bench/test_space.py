@@ -101,6 +101,36 @@ def test_space_that_no_camera_sees_to_be_empty_is_not_waited_for() -> None:
     assert tally.score().vacated_free_ms_p95 is None
 
 
+def test_space_is_seen_to_be_empty_a_voxel_before_a_surface_and_off_the_arm() -> None:
+    nobody, nearer = np.zeros((0, 3)), BLOCK[BLOCK[:, 2] < 1.05]
+    for on_arm, vacated in ((False, len(nearer)), (True, 0)):
+        tally, later = SpaceTally(GRID), state(50_000_000, depth_m=1.1)
+        if on_arm:
+            later = replace(later, robot_masks=(np.ones((64, 64), np.bool_),))
+        tally.add(state(0), occupancy(0, BLOCK), BLOCK)
+        tally.add(later, occupancy(50_000_000, nobody), nobody)
+        assert tally.score().vacated_voxels == vacated
+
+
+def test_space_that_is_taken_again_is_waited_for_from_when_it_is_left_again() -> None:
+    tally, nobody = SpaceTally(GRID), np.zeros((0, 3))
+    for stamp, there in ((0, BLOCK), (50_000_000, nobody), (100_000_000, BLOCK), (150_000_000, nobody)):
+        tally.add(state(stamp), occupancy(stamp, BLOCK), there)
+    tally.add(state(200_000_000), occupancy(200_000_000, nobody), nobody)
+    assert tally.score().vacated_free_ms_p95 == 60.0
+
+
+def test_space_outside_every_image_is_hidden() -> None:
+    narrow = replace(CAMERA, width=32, K=np.array([[60.0, 0, 16], [0, 60, 32], [0, 0, 1]]))
+    view = View(narrow, 0, np.zeros((64, 32, 3), np.uint8), np.full((64, 32), 9.0, np.float32))
+    beside = replace(state(0), frames=FrameSet(0, (view,)))
+    x, _, z = GRID.centers(np.arange(GRID.size)).T
+    for unknown, told in ((np.abs(x) * 60 > 16 * z, 1.0), (np.zeros(GRID.size, np.bool_), 0.0)):
+        tally = SpaceTally(GRID)
+        tally.add(beside, occupancy(0, np.zeros((0, 3)), unknown), np.zeros((0, 3)))
+        assert tally.score().unseen_not_free == told
+
+
 def test_hidden_space_reported_free_is_found() -> None:
     nobody = np.zeros((0, 3))
     unknown = np.ones(GRID.size, np.bool_)

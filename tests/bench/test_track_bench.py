@@ -131,6 +131,16 @@ def test_foresight_is_scored_in_the_light_of_each_camera(is_followed: bool) -> N
     assert (changed.forecast, changed.present) == pytest.approx((20, 20), abs=0.2)
 
 
+def test_foresight_is_not_scored_across_a_pause_nor_where_a_lens_left_the_first_image_empty() -> None:
+    horizon = HORIZONS_NS[-1]
+    paused = score_foresight([seen(0, 0.5), seen(2 * horizon, 0.35)])
+    assert (paused.forecast, paused.present) == (None, None)
+    then = seen(0, 0.5)
+    empty = replace(then.frames.views[0], valid=np.zeros((12, 16), np.bool_))
+    then = replace(then, frames=replace(then.frames, views=(empty,)))
+    assert score_foresight([then, seen(horizon, 0.35)]).forecast is None
+
+
 def of_passes(*levels: float) -> list[TrackScores]:
     """So many passes of this PSNR."""
     return [TrackScores({"ours": MethodScore(level, level, None)}, None, None) for level in levels]
