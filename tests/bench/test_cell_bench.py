@@ -140,6 +140,25 @@ def test_contacts_count_where_the_arm_moves(short: FilePath) -> None:
     assert moving.unwarned_contacts == 0
 
 
+def test_a_stop_is_judged_by_when_it_was_told_and_a_dwell_of_the_program_is_none(
+    short: FilePath, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = CellCase(replace(load_scenario(short), people=()), 33.0, LoopParameters())
+    going, rows = held(case, 0.3 * case.arm.cycle.period_ns, 0.3), np.arange(200)
+    told_at, stands_at = 100, 120
+    monkeypatch.setattr(
+        case, "share_by_truth", lambda stamp, phase_ns, ahead_ns: 0.9 * (stamp <= going.stamps[told_at])
+    )
+    for last_moved, false_stops in ((stands_at, 1), (60, 0)):
+        record = replace(
+            going,
+            phases_ns=np.minimum(going.phases_ns, going.phases_ns[last_moved]),
+            shares=np.where(rows < stands_at, going.shares, 0.0),
+            told=np.where(rows < told_at, going.told, 0.0),
+        )
+        assert score(case, record).false_stops == false_stops
+
+
 def test_an_entry_that_nobody_answers_is_slower_than_any(short: FilePath) -> None:
     """One that is answered at once in each of so many runs, and one of the last that never is."""
     scenario = load_scenario(short)
