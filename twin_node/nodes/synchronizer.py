@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from twin_node.errors import TwinError
-from twin_node.messages import DamagedError, Message, convert, from_time
+from twin_node.messages import DamagedError, Message, MessageError, convert, from_time
 from twin_node.native_library import thread_count
 from twin_node.nodes.camera_watch import CameraWatch
 from twin_node.nodes.damaged_images import DamagedImages
@@ -250,5 +250,21 @@ class SynchronizerNode(Node):
         return view
 
     def _decoded(self, name: str, stamp: int, encoded: EncodedView) -> View:
-        depth = None if encoded.depth is None else convert.depth_from_message(encoded.depth)
-        return self._assembler.view(name, DecodedImage(stamp, convert.rgb_from_message(encoded.colour), depth))
+        topics, depth = self._topics[name], None
+        if encoded.depth is not None:
+            with _told_of(topics.depth):
+                depth = convert.depth_from_message(encoded.depth)
+        with _told_of(topics.image):
+            rgb = convert.rgb_from_message(encoded.colour)
+        return self._assembler.view(name, DecodedImage(stamp, rgb, depth))
+
+
+@contextlib.contextmanager
+def _told_of(topic: str | None) -> Iterator[None]:
+    """Images of another format are told by their topic: a frame may be called as it likes."""
+    try:
+        yield
+    except DamagedError:
+        raise  # who counts these tells the camera
+    except MessageError as error:
+        raise MessageError(f"{topic}: {error}") from error
