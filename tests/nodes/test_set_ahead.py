@@ -85,3 +85,12 @@ def test_what_was_recorded_late_is_no_clock_that_was_set() -> None:
 
 def test_a_clock_that_is_set_twice_is_followed() -> None:
     assert found((500, 50), (1533, 83), (1566, 116)) == [500, 1500, 1500]
+
+
+def test_images_of_a_slow_camera_that_catch_up_are_no_clock_that_was_set() -> None:
+    """All had been recorded late until then, so none had ever been as far ahead."""
+    clocks, recorded, told = ClocksSetAhead(), 0, []
+    for k in range(40):
+        recorded = max(200 * k + (600 if k < 20 else 5), recorded + 1)
+        told.append(clocks.ahead_ns("a", 200 * k * MS, recorded * MS))
+    assert told == [0] * 40
