@@ -136,6 +136,16 @@ def test_it_slows_as_the_arm_can_brake_and_no_faster(monkeypatch: pytest.MonkeyP
     assert told[-1] == 0.0
 
 
+def test_a_node_that_was_held_up_slows_the_arm_no_faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of its speed was followed by none at once: what it had been told by then was long over."""
+    controller = Controller(monkeypatch)
+    controller.run(2.0, 1.0)
+    controller.wait(5.0)
+    told = [1.0, *controller.run(0.4)]
+    assert max(before - after for before, after in pairwise(told)) == pytest.approx(3 * PERIOD_S / 0.2)
+    assert told[-1] == 0.0
+
+
 @pytest.mark.parametrize("joints_rad_s", [1.0, 0.015], ids=["fast", "creeping"])
 def test_an_arm_that_moves_already_is_slowed_from_all_of_its_speed(
     monkeypatch: pytest.MonkeyPatch, joints_rad_s: float

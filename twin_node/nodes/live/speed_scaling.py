@@ -29,6 +29,9 @@ from twin_node.scene import NO_EVIDENCE
 REPEAT_S = 0.5
 """How often all of its speed is told though it stays, s: a controller may be a new one. Less is told again and again,
 for a message that is lost where a link is full would let the arm go on."""
+LONGEST_LOOK_S = 0.06
+"""For so long between two looks the arm has braked meanwhile, s: three periods. A node that was held up for longer does
+not make up for the rest, or the arm would stop within one period of its controller."""
 STANDS = 1e-6
 """A smaller share is none."""
 STANDS_RAD_S = 0.01
@@ -92,6 +95,7 @@ class SpeedScalingNode(Node):
         self._endpoints = setup.endpoints
         self._topic = parameters.topic
         self._period_s = 1.0 / parameters.rate_hz
+        self._longest_look_s = max(self._period_s, LONGEST_LOOK_S)
         self._slide_s = slide_s
         self._joint_names = frozenset(joint_names)
         self._limiter = SpeedLimiter(parameters.limiter)
@@ -195,7 +199,7 @@ class SpeedScalingNode(Node):
         if self._share is None:
             return
         now = time.monotonic()
-        elapsed_s = self._period_s if self._ticked is None else now - self._ticked
+        elapsed_s = self._period_s if self._ticked is None else min(now - self._ticked, self._longest_look_s)
         self._ticked = now
         slowest = self._share - elapsed_s / self._slide_s if self._slide_s > 0.0 else 0.0
         self._share = max(wanted, slowest, 0.0)
