@@ -26,7 +26,7 @@ from twin_node.model.sequence.tensor_file import (
     read_tensors,
     write_tensors,
 )
-from twin_node.model.sequence.trainer import Trainer, make_field, planned_field
+from twin_node.model.sequence.trainer import Trainer, make_field
 from twin_node.runtime.parameters import fill
 from twin_node.scene import Camera
 
@@ -87,10 +87,9 @@ class Checkpoint:
         if any(bool(value.isnan().any()) for value in self.tensors.values()):
             return False
         try:
-            with torch.device("meta"):  # a header may ask for more than there is memory
-                field = planned_field(self.box, self.header.steps, self.header.parameters)
+            field = make_field(self.box, self.header.steps, self.header.parameters)
         except (ArithmeticError, RuntimeError, TypeError, ValueError):
-            return False  # no field has such sizes
+            return False  # no field has such sizes, or there is no memory for them
         expected: Mapping[str, Tensor] = {}
         of_field: list[nn.Parameter] = []
         if isinstance(field, nn.Module):

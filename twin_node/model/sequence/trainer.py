@@ -22,16 +22,11 @@ from twin_node.model.sequence.sequence_model import SequenceModel, Span, draw
 
 def make_field(box: Box, steps: int, parameters: TrainParameters) -> SequenceField | None:
     """The field of a method, for a sequence of `steps` time steps, on the box's device; None for the static one."""
-    field = planned_field(box, steps, parameters)
-    return None if field is None else field.to(box.lower.device)
-
-
-def planned_field(box: Box, steps: int, parameters: TrainParameters) -> SequenceHexPlane | SequenceHashMlp | None:
-    """The same where torch puts what is made: on `meta` it has shapes, and takes no memory."""
+    device = box.lower.device
     if parameters.method == "hexplane":
-        return SequenceHexPlane(box, steps, parameters.hexplane, parameters.seed)
+        return SequenceHexPlane(box, steps, parameters.hexplane, parameters.seed).to(device)
     if parameters.method == "hash":
-        return SequenceHashMlp(box, steps, parameters.hash, parameters.seed)
+        return SequenceHashMlp(box, steps, parameters.hash, parameters.seed).to(device)
     return None
 
 
