@@ -199,7 +199,8 @@ def _rate(clock: CameraClock) -> str:
     if clock.rate_ppm is None:
         return ""
     sigma = "" if clock.rate_sigma_ppm is None else f" (+- {clock.rate_sigma_ppm:.0f})"
-    return f", {clock.rate_ppm:+.0f} ppm{sigma}"
+    kept = "" if clock.keeps_rate else " left out"
+    return f", {clock.rate_ppm:+.0f} ppm{sigma}{kept}"
 
 
 def _session(options: argparse.Namespace) -> LogSession:

@@ -160,8 +160,15 @@ def test_a_correction_comes_on_top_of_what_is_corrected_already() -> None:
         taken = camera.rig_time(stamp) - ahead_ns
         found = taken - 5_000_000 + round(40e-6 * (taken - clock.reference_ns))
         assert abs(clock.ahead_of(ahead_ns).applied(camera).rig_time(stamp) - found) <= 10
-    still = replace(clock, rate_ppm=4.0).applied(replace(camera, time_rate_ppm=0.0))
-    assert still.time_rate_ppm == 0  # a rate within its error is none
+
+
+@pytest.mark.parametrize(("rate_ppm", "kept"), [(4.0, False), (-11.0, False), (-16.0, True)])
+def test_a_rate_that_may_be_an_error_is_left_out(rate_ppm: float, kept: bool) -> None:
+    """One of 2.3 standard deviations was kept: nine seconds of a clock that is right, and 17 s off after a day."""
+    camera = RigCamera("c", 64, 48, np.diag([100.0, 100, 1]), np.eye(4))
+    clock = CameraClock("c", -5_000_000, 100_000, 10**18, rate_ppm, 5.0)
+    assert clock.keeps_rate == kept
+    assert clock.applied(camera).time_rate_ppm == pytest.approx(rate_ppm if kept else 0.0)
 
 
 def test_a_rig_with_a_rate_that_was_found_is_read_again(tmp_path: Path) -> None:

@@ -69,15 +69,20 @@ class CameraClock:
         """Whether the offset is more than what it may be wrong by (2 sigma)."""
         return abs(self.offset_ns) > 2 * self.sigma_ns
 
+    @property
+    def keeps_rate(self) -> bool:
+        """Whether the rate is more than what it may be wrong by (3 sigma): a wrong one adds up for hours."""
+        if self.rate_ppm is None or self.rate_sigma_ppm is None:
+            return False
+        return abs(self.rate_ppm) > 3 * self.rate_sigma_ppm
+
     def ahead_of(self, shift_ns: int) -> CameraClock:
         """The clock of a camera whose stamps were taken to be `shift_ns` earlier than they are, when this was found."""
         return replace(self, offset_ns=self.offset_ns - shift_ns, reference_ns=self.reference_ns + shift_ns)
 
     def applied(self, camera: RigCamera) -> RigCamera:
         """A camera whose clock is corrected by this, beside what corrected its stamps already."""
-        rate = 0.0 if self.rate_ppm is None or self.rate_sigma_ppm is None else self.rate_ppm
-        if abs(rate) < 2 * (self.rate_sigma_ppm or 0.0):
-            rate = 0.0
+        rate = self.rate_ppm if self.rate_ppm is not None and self.keeps_rate else 0.0
         own = camera.own_time(self.reference_ns)
         both = (1 + rate * 1e-6) * (1 + camera.time_rate_ppm * 1e-6) - 1
         return replace(
