@@ -212,6 +212,7 @@ def test_what_cannot_be_run_is_refused(short: FilePath, refused: Callable[..., s
     [
         (["demo"], "--cameras: expected one scenario, whose cameras are measured, found SHORT demo"),
         (["--twin", "--latency", "20"], "leave out --twin and --latency"),
+        (["--seeds", "2", "--unknown", "law"], "leave out --seeds and --unknown"),
         ([], "scenario brief: expected more than a second to measure, found 0.5 s"),
     ],
 )

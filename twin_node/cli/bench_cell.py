@@ -40,8 +40,8 @@ def add_bench_cell(benches: Any) -> None:
         metavar="SCENARIO",
         help="scenario files or names below sim/; 'all' for the whole suite",
     )
-    cell.add_argument("--seeds", type=whole, default=20, metavar="N", help="seeds per scenario (default 20)")
-    cell.add_argument("--first-seed", type=whole, default=1, metavar="K", help="the first of them (default 1)")
+    cell.add_argument("--seeds", type=whole, metavar="N", help="seeds per scenario (default 20)")
+    cell.add_argument("--first-seed", type=whole, metavar="K", help="the first of them (default 1)")
     cell.add_argument(
         "--twin", action="store_true", help="the real chain as 'ours', as late as it is on this machine (slow!)"
     )
@@ -63,7 +63,6 @@ def add_bench_cell(benches: Any) -> None:
     cell.add_argument(
         "--unknown",
         choices=("law", "clearance", "ignore"),
-        default="law",
         help="what may come out of space that no camera sees (default law: anything, at 1.6 m/s)",
     )
     cell.add_argument("--processes", type=whole, default=2, metavar="N", help="runs at once (default 2)")
@@ -93,11 +92,9 @@ def _bench_cell(options: argparse.Namespace) -> None:
             "--set-rate: expected --twin and --latency beside it, for else both are measured; add them, or leave it out"
         )
     names = [name for given in options.scenarios for name in (cell.SUITE if given == "all" else (given,))]
-    law = SeparationParameters(unknown=UnknownPolicy(options.unknown))
+    law = SeparationParameters(unknown=UnknownPolicy(options.unknown or "law"))
     chosen = cell.CellBenchParameters(
         scenarios=tuple(dict.fromkeys(names)),
-        seeds=options.seeds,
-        first_seed=options.first_seed,
         twin=options.twin,
         same_eyes=options.same_eyes,
         twin_latency_ms=options.latency if options.twin else None,
@@ -105,7 +102,7 @@ def _bench_cell(options: argparse.Namespace) -> None:
         processes=options.processes,
         loop=LoopParameters(separation=law),
     )
-    parameters = with_given(chosen, latency_ms=options.latency)
+    parameters = with_given(chosen, seeds=options.seeds, first_seed=options.first_seed, latency_ms=options.latency)
     if options.out is not None:
         prepared(options.out)
     results = cell.run(parameters, over("run"))
@@ -123,7 +120,7 @@ def _bench_cameras(options: argparse.Namespace) -> None:
     if len(options.scenarios) > 1 or options.scenarios == ["all"]:
         found = " ".join(options.scenarios)
         raise BenchError(f"--cameras: expected one scenario, whose cameras are measured, found {found}; give one")
-    given = given_of(options, ("twin", "same_eyes", "latency", "set_rate", "out"))
+    given = given_of(options, ("seeds", "first_seed", "twin", "same_eyes", "latency", "set_rate", "unknown", "out"))
     if given:
         raise BenchError(f"--cameras: cameras are measured without arm and twin; leave out {' and '.join(given)}")
     figures = asdict(measure(load_scenario(options.scenarios[0]), options.processes))
