@@ -180,8 +180,8 @@ def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> No
     whole = falling(centers[:2], down, np.full(2, 0.05))
     assert np.isfinite(floors_of(GRID, table_at(height), centers[:2], whole)).tolist() == [True, False]
     aside = falling(centers[2:], np.array([5.0, 0.0, 0.0]), np.full(1, 0.05))
-    assert np.isinf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
-    assert np.isinf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
+    assert np.isneginf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
+    assert np.isneginf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
 
 
 def clear_s(center: list[float], velocity: list[float], stands: Bits, others: list[list[float]]) -> float:
@@ -210,6 +210,7 @@ def test_what_comes_off_the_table_is_clear_and_what_comes_down_on_it_is_not() ->
     touching = (height + 1) * GRID.voxel_size + 0.04
     assert clear_s([0.6, 0.6, touching], [0.0, 0.5, 1.5], table_at(height), []) > 0.1
     assert clear_s([0.6, 0.6, touching], [0.0, 0.5, -1.5], table_at(height), []) == 0
+    assert 0 < clear_s([0.6, 0.6, touching], [0.0, 2.0, 0.7], table_at(height), []) < 0.15, "it comes down again"
 
 
 def test_what_only_may_fall_is_never_clear() -> None:
@@ -224,6 +225,53 @@ def test_what_flies_beside_something_that_moves_may_touch_it() -> None:
     assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, 0.25, 0.5]]) == 0
     assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, 1.0, 0.6]]) < 0.2
     assert clear_s([0.6, 0.3, 0.6], away, nothing, [[0.6, -3.0, 0.6]]) > 0.3
+
+
+def of_one(centers: list[list[float]], velocity: list[float], stands: Bits, own: Bits | None = None) -> float:
+    """For how long a thing of several parts that falls is clear."""
+    places = GRID.origin + np.array(centers)
+    whole = falling(places, np.array(velocity), places[:, 2] - places[:, 2].min() + 0.03)
+    solid = np.ones(len(places), np.bool_)
+    (clear,) = np.unique(landing_of(GRID, stands, places, solid, whole, own).clear_s)
+    return float(clear)
+
+
+def block(first: list[int], last: list[int]) -> Bits:
+    mask = np.zeros(GRID.dims, np.bool_)
+    mask[tuple(slice(low, high) for low, high in zip(first, last, strict=True))] = True
+    return Bits.of_mask(GRID.dims, mask.reshape(-1))
+
+
+def test_one_part_that_lands_or_strikes_is_enough() -> None:
+    height, down = 10, [0.0, 0.0, -1.0]
+    over, beside = [0.6, 0.6, 0.5], [0.09, 0.6, 0.5]  # of the table and not
+    alone = of_one([over], down, table_at(height))
+    assert 0 < of_one([over, beside], down, table_at(height)) == alone < of_one([beside], down, table_at(height))
+    wall, along = block([25, 0, 0], [27, 15, 30]), [2.0, 0.0, 0.5]
+    high, far = [0.5, 0.3, 0.7], [0.5, 0.9, 0.7]
+    assert of_one([high, far], along, wall) == of_one([high], along, wall) < of_one([far], along, wall)
+
+
+def test_the_arm_is_struck_as_what_stands_is() -> None:
+    nothing, arm, along = Bits.none(GRID.dims), block([25, 0, 0], [27, 40, 30]), [2.0, 0.0, 0.5]
+    struck = of_one([[0.5, 0.6, 0.7]], along, nothing, arm)
+    assert struck == of_one([[0.5, 0.6, 0.7]], along, arm, nothing) < of_one([[0.5, 0.6, 0.7]], along, nothing)
+
+
+def test_what_rises_over_an_edge_with_its_lower_parts_has_not_run_into_it() -> None:
+    top = 11 * GRID.voxel_size
+    edge = block([22, 0, 11], [30, 40, 12]) | table_at(10)
+    low, high = [0.58, 0.6, top + 0.005], [0.58, 0.6, top + 0.1]
+    assert of_one([low, high], [2.0, 0.0, 0.6], edge) > 0.04
+
+
+def test_what_moves_beside_the_far_end_of_a_long_thing_is_near() -> None:
+    nothing, down = Bits.none(GRID.dims), [0.0, 0.0, -0.5]
+    centers = GRID.origin + np.array([[0.3, 0.6, 0.6], [0.8, 0.6, 0.6], [0.9, 0.6, 0.6], [0.9, 0.75, 0.6]])
+    whole = falling(centers, np.array(down), np.full(4, 0.05))
+    whole.falling[3] = False
+    assert (landing_of(GRID, nothing, centers, np.ones(4, np.bool_), whole).clear_s == 0).all()
+    assert 0.05 < clear_s([0.6, 0.3, 0.6], [0.0, 2.0, 1.5], nothing, [[0.6, 0.8, 0.6]]) < 0.1, "half a metre away"
 
 
 def test_rims_are_nothing_that_is_touched_and_touch_nothing() -> None:
