@@ -263,6 +263,7 @@ def test_what_rises_over_an_edge_with_its_lower_parts_has_not_run_into_it() -> N
     edge = block([22, 0, 11], [30, 40, 12]) | table_at(10)
     low, high = [0.58, 0.6, top + 0.005], [0.58, 0.6, top + 0.1]
     assert of_one([low, high], [2.0, 0.0, 0.6], edge) > 0.04
+    assert of_one([low, high], [0.0, 0.5, 0.7], table_at(10)) < 0.12, "it comes down again, the lower part first"
 
 
 def test_what_moves_beside_the_far_end_of_a_long_thing_is_near() -> None:
