@@ -216,7 +216,7 @@ def test_what_comes_off_the_table_is_clear_and_what_comes_down_on_it_is_not() ->
 def test_what_only_may_fall_is_never_clear() -> None:
     centers = GRID.origin + np.array([[0.6, 0.6, 0.6]])
     whole = falling(centers, np.array([2.0, 0.0, 0.0]), np.zeros(1))
-    whole.sure[:] = False
+    whole.seen_falling[:] = False
     assert landing_of(GRID, Bits.none(GRID.dims), centers, np.ones(1, np.bool_), whole).clear_s == 0
 
 

@@ -15,6 +15,7 @@ from twin_node.bench.errors import BenchError
 from twin_node.forecast.baselines import AHEAD_S
 from twin_node.forecast.bound import PERSON_SPEED, BoundParameters
 from twin_node.forecast.experts import EXPERT_NAMES
+from twin_node.forecast.pace import USUAL_STEPS
 from twin_node.forecast.points import PointForecaster
 from twin_node.scene import Bool, Float64
 
@@ -157,7 +158,7 @@ def _chosen(path: Path, names: tuple[str, ...], wanted: Iterable[str]) -> list[i
 
 def _truth(trajectories: Trajectories) -> Callable[[float], Float64]:
     """Positions at any time, interpolated; NaN after the end, and where samples are missing."""
-    longest_s = _MOST_STEPS / trajectories.rate_hz
+    longest_s = USUAL_STEPS / trajectories.rate_hz  # beyond that there was a pause
 
     def at(moment: float) -> Float64:
         times = trajectories.times
@@ -175,8 +176,6 @@ def _truth(trajectories: Trajectories) -> Callable[[float], Float64]:
 
 _SAME_S = 1e-4
 """Times this close are the same, s: what is left of a frame time written with four digits."""
-_MOST_STEPS = 3.5
-"""Samples of a file that are so many of its usual steps apart tell nothing of the time between them."""
 
 
 def _score(foretold: Foretold, scored: Bool, joints: list[int]) -> ForecastScore:

@@ -222,21 +222,9 @@ def _given(options: argparse.Namespace, rig: Rig) -> RigFile:
 def _with_other_clocks(options: argparse.Namespace, found: RigFile) -> RigFile:
     """A rig file to write with those clocks of the one given that say nothing of the log's stamps, but of others."""
     from twin_node.rig import load_rig
+    from twin_node.rig.clock_kinds import with_other_clocks
 
-    if not options.rig:
-        return found
-    cameras = tuple(
-        now
-        if now.time_offset_ns or now.time_rate_ppm or now.time_reference_ns
-        else replace(
-            now,
-            time_offset_ns=given.time_offset_ns,
-            time_rate_ppm=given.time_rate_ppm,
-            time_reference_ns=given.time_reference_ns,
-        )
-        for now, given in zip(found.rig.cameras, load_rig(options.rig).rig.cameras, strict=True)
-    )
-    return replace(found, rig=replace(found.rig, cameras=cameras))
+    return replace(found, rig=with_other_clocks(found.rig, load_rig(options.rig).rig)) if options.rig else found
 
 
 def _gap(pair: PairFigures) -> str:

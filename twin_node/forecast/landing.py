@@ -57,7 +57,7 @@ def landing_of(
     for thing, velocity in enumerate(things):
         mine = np.flatnonzero(thing_of.reshape(-1) == thing)
         body = mine[solid[rows[mine]]]
-        if len(body) and whole.sure[rows[mine[0]]]:
+        if len(body) and whole.seen_falling[rows[mine[0]]]:
             fall, others = _Fall(times, drops[:, body[0]], centers[rows[body]]), solid.copy()
             others[rows[body]] = False
             strikes = fall.strikes(grid, stands if own is None else stands | own)

@@ -12,7 +12,7 @@ _SHORTEST_PAUSE_S = 0.25
 30 Hz, the first forecast after 0.2 s without evidence holds 99 to 100 %, as any other; without depth those after 0.27
 to 0.5 s would hold 89 to 99 % if motion were gone on with, 46 % at worst, and with or without those after 0.67 s 66 to
 90 %."""
-_USUAL_STEPS = 3.5
+USUAL_STEPS = 3.5
 """What takes no longer than so many usual steps is no pause either: bounds are learnt from such forecasts. One set
 missing of five per second, or two of ten."""
 _REMEMBERED = 15
@@ -33,4 +33,4 @@ class Pace:
             return False
         usual_s, step_s = median(self._steps_s or [0.0]), (stamp - last) * 1e-9
         self._steps_s.append(step_s)
-        return step_s > min(max(_USUAL_STEPS * usual_s, _SHORTEST_PAUSE_S), LONGEST_GAP_S)
+        return step_s > min(max(USUAL_STEPS * usual_s, _SHORTEST_PAUSE_S), LONGEST_GAP_S)

@@ -37,7 +37,7 @@ class Whole:
     """[M] parts of what falls freely, or goes faster than people do."""
     falling: Bool
     """[M] parts of what flies by more than its last step, and was not seen to go straight."""
-    sure: Bool
+    seen_falling: Bool
     """[M] parts of what is seen to fall freely, and not only taken for that."""
     rested: Bool
     """[M] parts of what has kept still since it was first followed (`Course.has_rested`)."""
@@ -100,7 +100,7 @@ class Things:
             now.courses[mine], now.velocities[mine], chosen = course, course.velocity, labels == mine
             whole.velocities[chosen], whole.sigmas[chosen] = course.velocity, course.velocity_sigma
             whole.flying[chosen], whole.falling[chosen] = course.flies, course.is_flight
-            whole.sure[chosen], whole.rested[chosen] = bool(course.falls), course.has_rested
+            whole.seen_falling[chosen], whole.rested[chosen] = bool(course.falls), course.has_rested
             whole.above[chosen] = parts.centers[chosen, 2] - now.lowest[mine]
         return whole
 

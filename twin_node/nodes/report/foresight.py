@@ -20,7 +20,7 @@ from twin_node.scene import HORIZONS_NS, Grid, Occupancy, UInt32, View
 from twin_node.thinning import Thinning
 
 OURS = "ours"
-BLIND_NS = 200_000_000
+BLIND_NS = HORIZONS_NS[-1]
 """For so long after a gap no forecast is compared, ns: the twin has followed all along, but the baselines have yet to
 see how things move."""
 
