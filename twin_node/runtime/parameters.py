@@ -90,12 +90,13 @@ def fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None
     one), a value of the wrong type, or values that the dataclass refuses.
     """
     try:
-        return _fill(kind, values, where, default)
+        return _fill(kind, values, where, default, ": ")
     except _RefusedError as error:
         raise ParameterError(f"{where}: {error}") from error.__cause__
 
 
-def _fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None) -> T:
+def _fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | None, link: str = ".") -> T:
+    """As `fill`; `link` stands between `where` and a key."""
     if not isinstance(values, Mapping):
         raise ParameterError(f"{where}: expected keys and values, found {told(values)}")
     fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
@@ -111,7 +112,7 @@ def _fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | Non
             hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
         nested = _default_of(fields[key], default) if isinstance(value, Mapping) else None
-        filled[key] = _convert(hints[key], value, f"{where}.{key}", nested)
+        filled[key] = _convert(hints[key], value, f"{where}{link}{key}", nested)
     try:
         return kind(**filled) if default is None else dataclasses.replace(default, **filled)  # type: ignore[type-var]
     except TwinError as error:
