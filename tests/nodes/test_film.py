@@ -21,7 +21,7 @@ from twin_node.nodes.overlays import tinted
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, SEPARATION
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import arm_model
 from twin_node.scene import (
@@ -272,6 +272,34 @@ def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_pa
     assert late[0, :20, 0].max() > 200, "words"
     assert late[0, :, 2].max() == 0
     assert np.array_equal(late[1], at_once[1])
+
+
+def test_a_twin_that_says_no_more_is_said_to_and_compared_with_nothing(tmp_path: Path) -> None:
+    """What it showed last stood there as if it were of now, and what has moved since as if it had not been followed."""
+    log, twin = write_images(tmp_path / "a.mcap", {"seen": (160, 120)}, again={"seen": 5}), tmp_path / "twin.mcap"
+    with LogWriter(twin) as written:
+        for topic, cloud, seconds in ((GAUSSIANS, cloud_at(0, True), 0), (GAUSSIANS_MOVING, cloud_at(0, False), 9)):
+            for stamp in {START, START + seconds * 10**9}:
+                written.write(topic, convert.gaussians_to_pointcloud2(cloud, stamp), stamp)
+    with Playback([log, twin], 160) as played:
+        film = Film(played, "beside", 160, arm_model("ur5e"))
+        snapshots = [played.at(START + after * 10**9) for after in (1, 6)]
+        at_once, late = (film.beside(of).reshape(136, 4, 160, 3)[16:] for of in snapshots)
+        orbits = [film.orbit(of) for of in snapshots]
+    assert at_once[:, 1].max() > 128 and at_once[:, 2].max() > 0
+    assert 64 < late[24:, 1].max() < 128
+    assert late[:24, 1].max() > 200, "words"
+    assert not late[:, 2].any()
+    assert orbits[1][:24].max() > 200 and orbits[1][24:].max() < 128
+
+
+def test_a_model_s_times_may_lie_far_apart(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for stamp in (START, START + 9 * 10**9):
+            log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), stamp), stamp)
+    for at in (0, 6, 8.9):
+        assert render(tmp_path / "a.mcap", "--at", at, "-o", tmp_path / f"{at}.png") == 0
+        assert cv2.imread(str(tmp_path / f"{at}.png"))[22:].max() > 128, "not darkened"
 
 
 def with_damaged_image(log: Path, out: Path, camera: str) -> Path:

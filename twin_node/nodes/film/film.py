@@ -16,7 +16,7 @@ from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
 from twin_node.nodes.report.quality import render_cloud, unit
 from twin_node.nodes.snapshot import LONGEST_MOVE_S, SILENT_S, Snapshot, in_force
-from twin_node.nodes.topics import GAUSSIANS, OCCUPANCY, SEPARATION
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
 from twin_node.scene import HORIZONS_NS, Camera, Float32, GaussianCloud, ObstacleKind, UInt8, View
 
@@ -28,6 +28,8 @@ FONT, SMALLEST_FONT, MARGIN_PX = 0.45, 0.28, 6
 """Scales of OpenCV's font: of all words, and the smallest that can be read."""
 OUTLINE_COLOUR = (242, 153, 0)
 """Of the arm's outline."""
+CLOUDS = (GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING)
+"""Of which a twin that goes on says something with every set that its model has followed."""
 
 
 class Film:
@@ -71,7 +73,8 @@ class Film:
 
     def cameras(self, snapshot: Snapshot) -> UInt8:
         """The twin as the cameras see it, side by side."""
-        return _side_by_side([_titled(c.name, _pixels(_rendering(c, snapshot.cloud_now))) for c in self._cameras])
+        cloud = snapshot.cloud_now
+        return _side_by_side([_titled(c.name, _twin(_rendering(c, cloud), snapshot)) for c in self._cameras])
 
     def forecast(self, snapshot: Snapshot) -> UInt8:
         """What the cameras see, side by side, and on it what was foreseen for 200 ms later."""
@@ -82,25 +85,25 @@ class Film:
         """The twin from a camera that goes around it, with boxes about what moves."""
         height = self._width * 9 // 16
         camera = orbit_camera(snapshot, self._width, height, (snapshot.stamp - self._start) / 1e9)
-        picture = _pixels(_rendering(camera, snapshot.cloud_now))
+        picture = _twin(_rendering(camera, snapshot.cloud_now), snapshot)
         obstacles = in_force(snapshot.obstacles, snapshot.stamp)
         return draw_boxes(picture, camera, obstacles, obstacles.kinds == ObstacleKind.MOVING, MOVING_COLOUR)
 
     def _row(self, camera: Camera, view: View | None, snapshot: Snapshot) -> UInt8:
         is_silent = snapshot.camera_silent_s(camera.name) > SILENT_S
         late_s = 0.0 if view is None else _late_s(view, snapshot)
-        is_told = view is not None and not is_silent and late_s <= LONGEST_MOVE_S
-        ours = _rendering(camera, snapshot.cloud_at(view.stamp) if view and is_told else snapshot.cloud_now)
+        is_near = view is not None and not is_silent and late_s <= LONGEST_MOVE_S
+        ours = _rendering(camera, snapshot.cloud_at(view.stamp) if view and is_near else snapshot.cloud_now)
         image, foreseen = _image(camera, view, snapshot), self._foreseen(camera, view, snapshot)
         differs = _blank(camera)
         if view is not None:
-            if is_told:
+            if is_near and _twin_silent_s(snapshot) <= SILENT_S:
                 differs = _difference(ours, view)
-            elif not is_silent:
+            elif not (is_near or is_silent):
                 differs = _noted(differs, f"image {late_s:.1f} s before twin")
         titled = {
             camera.name: image,
-            "twin": _pixels(ours),
+            "twin": _twin(ours, snapshot),
             f"difference x {ERROR_GAIN:g}": differs,
             f"foreseen for {HORIZONS_NS[-1] // 1_000_000} ms": foreseen,
         }
@@ -150,6 +153,18 @@ def _rendering(camera: Camera, cloud: GaussianCloud | None) -> Float32:
     if cloud is None or not len(cloud.means):
         return np.zeros((camera.height, camera.width, 3), np.float32)
     return render_cloud(cloud, camera)
+
+
+def _twin(rendering: Float32, snapshot: Snapshot) -> UInt8:
+    """[H, W, 3] a rendering of the twin; it says so where the twin has been silent for long."""
+    picture, silent_s = _pixels(rendering), _twin_silent_s(snapshot)
+    return picture if silent_s <= SILENT_S else _noted(np.asarray(picture // 2), f"no twin for {silent_s:.0f} s")
+
+
+def _twin_silent_s(snapshot: Snapshot) -> float:
+    """For how long nothing was said of any Gaussian, s; 0 of a model's log: its times may be as far apart as they
+    like."""
+    return snapshot.silent_s(CLOUDS) if GAUSSIANS_MOVING in snapshot.said else 0.0
 
 
 def _view(camera: Camera, snapshot: Snapshot) -> View | None:
