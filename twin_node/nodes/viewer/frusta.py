@@ -9,7 +9,7 @@ import numpy as np
 from twin_node.errors import TwinError
 from twin_node.geometry import quat_from_rotation
 from twin_node.nodes.overlays import ARM_COLOUR, MOVING_COLOUR, arm_mask, moving_mask, tinted
-from twin_node.nodes.snapshot import Snapshot
+from twin_node.nodes.snapshot import SILENT_S, Snapshot
 from twin_node.robot import ArmModel
 from twin_node.scene import Camera, UInt8, View
 
@@ -57,9 +57,13 @@ class Frusta:
             raise problems[0]
 
     def _put(self, view: View, snapshot: Snapshot) -> None:
-        name, look = view.camera.name, (view.stamp, self._masks_stamp(snapshot))
+        """An image of long ago is dark: the camera sends no more."""
+        name = view.camera.name
+        is_old = snapshot.camera_silent_s(name) > SILENT_S
+        look = view.stamp, self._masks_stamp(snapshot), is_old
         if self._shown.get(name) != look:
-            self._handles[name].image = self._masked(view, snapshot) if self.is_masked else view.rgb
+            image = self._masked(view, snapshot) if self.is_masked else view.rgb
+            self._handles[name].image = np.asarray(image // 2) if is_old else image
             self._shown[name] = look
 
     def _add(self, camera: Camera) -> Any:

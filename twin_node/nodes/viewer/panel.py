@@ -39,8 +39,10 @@ def arm_text(snapshot: Snapshot) -> str:
 
 
 def twin_text(snapshot: Snapshot) -> str:
-    """Markdown: how the twin does, or for how long it has been silent."""
+    """Markdown: how the twin does, or for how long it or a camera has been silent."""
     silence = _silence(snapshot, OF_THE_TWIN, "The twin has said nothing")
+    for name, camera in snapshot.cameras.items():
+        silence += _silence(snapshot, (camera.image,), f"Camera {plain(name)} has sent no image")
     return silence + ("The twin has not said how it does." if snapshot.status is None else _twin(snapshot.status))
 
 
