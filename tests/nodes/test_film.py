@@ -21,7 +21,7 @@ from twin_node.nodes.overlays import tinted
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE
 from twin_node.nodes.report.quality import render_cloud
-from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY, SEPARATION
+from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OCCUPANCY
 from twin_node.rig import RigFile, save_rig
 from twin_node.robot import arm_model
 from twin_node.scene import (
@@ -31,7 +31,6 @@ from twin_node.scene import (
     OccupancyLayer,
     Rig,
     RigCamera,
-    Separation,
 )
 
 av = pytest.importorskip("av")
@@ -243,21 +242,6 @@ def test_an_orbit_has_no_camera_of_the_rig(tmp_path: Path, capsys: pytest.Captur
     log = write_images(tmp_path / "images.mcap", {"left": (64, 48)})
     assert render(log, "--view", "orbit", "--camera", "left", "-o", tmp_path / "a.png") == 2
     assert "leave it out with --view orbit" in capsys.readouterr().err
-
-
-def test_a_caption_does_not_go_on_telling_an_old_decision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    decided = Separation(START, START, 1.0, 0.5, *np.zeros(5).tolist(), "forearm_link", 7, 1.0, "nothing near")
-    with LogWriter(tmp_path / "a.mcap") as log:
-        log.write(SEPARATION, convert.separation_to_message(decided), START)
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START), START + 9 * 10**9)
-    captions: list[str] = []
-    monkeypatch.setattr(cv2, "putText", lambda _strip, words, *_: captions.append(words))
-    for at in (2, 6):
-        assert render(tmp_path / "a.mcap", "--at", at, "-o", tmp_path / "a.png") == 0
-    assert captions == [
-        "  2.00 s   speed 100%   nearest 1.00 m   nothing near",
-        "  6.00 s   no decision about the arm for 6 s",
-    ]
 
 
 def test_a_camera_that_sends_no_more_is_said_to_and_compared_with_nothing(tmp_path: Path) -> None:

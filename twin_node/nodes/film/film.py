@@ -26,6 +26,8 @@ CAPTION_PX, TITLE_PX = 22, 16
 """Heights of the strips of words above a picture of all, and above each of one camera."""
 FONT, SMALLEST_FONT, MARGIN_PX = 0.45, 0.28, 6
 """Scales of OpenCV's font: of all words, and the smallest that can be read."""
+LINE_PX = 11
+"""From one line of the smallest words to the next."""
 OUTLINE_COLOUR = (242, 153, 0)
 """Of the arm's outline."""
 CLOUDS = (GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING)
@@ -216,13 +218,39 @@ def _widened(picture: UInt8, width: int) -> UInt8:
 
 
 def _words(words: str, width: int, height: int) -> UInt8:
-    """[height, width, 3] a white strip with words, smaller where they are longer than it."""
+    """[height, width, 3] a white strip with words, smaller where they are longer than it; where they are longer still,
+    in as many lines as it has room for.
+    """
     strip = np.full((height, width, 3), 255, np.uint8)
-    (length, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, FONT, 1)
-    size = max(min(1.0, (width - 2 * MARGIN_PX) / max(length, 1)) * FONT, SMALLEST_FONT)
-    foot = (MARGIN_PX, (height + 10) // 2)
-    cv2.putText(strip, words, foot, cv2.FONT_HERSHEY_SIMPLEX, size, (32, 33, 36), 1, cv2.LINE_AA)
+    room, lines = width - 2 * MARGIN_PX, max(height // LINE_PX, 1)
+    size = min(1.0, room / max(_length(words), 1)) * FONT
+    if size >= SMALLEST_FONT or lines == 1:
+        _write(strip, words, (height + 10) // 2, max(size, SMALLEST_FONT))
+        return strip
+    for row, line in enumerate(_broken(words, room * FONT / SMALLEST_FONT)[:lines], 1):
+        _write(strip, line, row * LINE_PX - 2, SMALLEST_FONT)
     return strip
+
+
+def _length(words: str) -> int:
+    """Of words in letters of scale `FONT`, px."""
+    return cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, FONT, 1)[0][0]
+
+
+def _broken(words: str, room: float) -> list[str]:
+    """Words in lines of which each is no longer than `room`, px in letters of scale `FONT`, unless it is one word."""
+    lines = [""]
+    for word in words.strip().split(" "):
+        longer = f"{lines[-1]} {word}" if lines[-1] else word
+        if lines[-1] and _length(longer) > room:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _write(strip: UInt8, words: str, foot: int, size: float) -> None:
+    cv2.putText(strip, words, (MARGIN_PX, foot), cv2.FONT_HERSHEY_SIMPLEX, size, (32, 33, 36), 1, cv2.LINE_AA)
 
 
 def _side_by_side(pictures: Sequence[UInt8]) -> UInt8:
