@@ -5,15 +5,18 @@ from __future__ import annotations
 import base64
 import re
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from simulated_boards import a_lens, around
 
 from twin_node.geometry import inverse_pose, looking_at, transform
 from twin_node.rig import CameraEvidence, RigError, RigFile
+from twin_node.rig.calibrate import report_pictures
 from twin_node.rig.calibrate.boards import Chessboard, Corners
 from twin_node.rig.calibrate.bundle import Sighting
 from twin_node.rig.calibrate.lenses import lens_of, raw_pixels
@@ -68,6 +71,22 @@ def test_a_page_with_a_rig_before_and_residuals(rig_file: RigFile, tmp_path: Pat
     drawn = pictures_in(tmp_path / "page.html")
     assert len(drawn) == 4
     assert all(picture.std() > 5 for picture in drawn)
+
+
+def test_names_of_axes_do_not_lie_upon_each_other(rig_file: RigFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a rig that is as high as it is wide stood on those of what is beside it."""
+    looked_at = np.array([0.1, 0.1, 1.0])
+    poses = (looking_at(np.array(place), looked_at) for place in ((0, 0, 0), (1.0, -0.5, 0.3), (1.3, -0.6, 1.4)))
+    cameras = (replace(camera, T_base_cam=pose) for camera, pose in zip(rig_file.rig.cameras, poses, strict=True))
+    rig_file = replace(rig_file, rig=Rig(tuple(cameras)))
+    drawn: list[Figure] = []
+    monkeypatch.setattr(report_pictures, "_picture", lambda *given: drawn.append(given[-1]))
+    report_pictures.draw_rig(rig_file, None)
+    drawn[0].draw_without_rendering()
+    oblique, *flat = drawn[0].axes
+    names = [oblique.zaxis.label, *(axes.yaxis.label for axes in flat)]
+    for one, other in combinations([name.get_window_extent() for name in names], 2):
+        assert not one.overlaps(other)
 
 
 def test_without_recordings_the_rig_alone_is_drawn(rig_file: RigFile, tmp_path: Path) -> None:

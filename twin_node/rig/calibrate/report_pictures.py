@@ -33,6 +33,9 @@ ELLIPSE_SIGMAS = 3.368
 """Radius of a 99 % ellipsoid in three dimensions, in sigmas (chi-square with three degrees of freedom)."""
 SINGLE_CAMERA_SIZE_M = 1.0
 """Size of the drawing of a rig of one camera, which has none."""
+OBLIQUE_ZOOM, OBLIQUE_TICKS = 0.8, 5
+"""Size of the oblique drawing as a share of Matplotlib's own, whose names of axes lie upon what is beside it, and about
+how many numbers an axis has: along a short one more would."""
 HEAT_CELLS = 16
 """Cells across an image in which corners are counted."""
 GHOST = "#9aa0a6"
@@ -60,7 +63,9 @@ def draw_rig(rig_file: RigFile, before: Rig | None) -> Picture:
         oblique.text(*camera.T_base_cam[:3, 3], f" {camera.name}", color=f"C{number}", fontsize=8)
     oblique.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     oblique.tick_params(labelsize=7)
-    oblique.set_aspect("equal")
+    oblique.locator_params(nbins=OBLIQUE_TICKS)
+    sides = np.ptp([oblique.get_xlim(), oblique.get_ylim(), oblique.get_zlim()], axis=1)
+    oblique.set_box_aspect(sides, zoom=OBLIQUE_ZOOM)  # all to one scale
     enlarged = _ellipse_scale(rig_file, size)
     for place, (across, up, title) in enumerate(((0, 1, "from above"), (0, 2, "from the side")), start=2):
         axes = figure.add_subplot(1, 3, place)
