@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin_node.nodes.export.usd import linear
-from twin_node.nodes.report.pictures import FORESEEN, MASK, TRUE, _broken, camera_column, table
+from twin_node.nodes.report.pictures import FORESEEN, MASK, TRUE, _broken, camera_column, outline, table
 from twin_node.scene import Float32
 
 
@@ -36,6 +36,16 @@ def test_curves_break_where_there_were_no_sets() -> None:
 def test_curves_of_few_sets_a_second_do_not_break() -> None:
     for seconds in (np.arange(5) * 2.0, np.zeros(1), np.zeros(0)):
         assert not np.isnan(_broken(seconds, seconds)[1]).any()
+
+
+def test_what_a_mask_leaves_out_in_its_midst_is_outlined() -> None:
+    """Between a body and its bent arm nothing moves: there the picture looked as if all did."""
+    mask = np.zeros((60, 60), np.bool_)
+    mask[10:50, 10:50] = True
+    mask[25:35, 25:35] = False
+    drawn = (outline(np.zeros((60, 60, 3), np.uint8), mask, TRUE) == TRUE).all(2)
+    assert drawn[24, 25:35].all() and drawn[10, 10:50].all()
+    assert not drawn[13:22, 13:47].any() and not drawn[28:32, 28:32].any()
 
 
 def test_outlines_are_told_from_grey_by_who_sees_no_green() -> None:

@@ -74,9 +74,9 @@ def enlarge(image: Image) -> UInt8:
 
 
 def outline(picture: UInt8, mask: Bool, colour: tuple[int, int, int]) -> UInt8:
-    """The picture with the contours of a mask drawn."""
+    """The picture with the contours of a mask drawn, those of its holes too."""
     drawn = picture.copy()
-    contours, _ = cv2.findContours(_enlarged(mask, picture), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    contours, _ = cv2.findContours(_enlarged(mask, picture), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
     cv2.drawContours(drawn, contours, -1, colour, 2)
     return drawn
 
@@ -109,7 +109,7 @@ def curves(title: str, unit: str, series: Sequence[Curve]) -> bytes:
 
 
 def tiers_over_time(seconds: NDArray[np.float64], counts: NDArray[np.float64]) -> bytes:
-    """PNG of the Gaussians per tier [T, 5] over time [T]: what moves above, all tiers on a logarithmic scale."""
+    """PNG of the Gaussians per tier [T, 5] over time [T], on a logarithmic scale."""
     figure = Figure(figsize=(7.2, 2.6), dpi=110, layout="constrained")
     axes = figure.subplots()
     for tier in Tier:
