@@ -155,6 +155,23 @@ def test_covariances_are_those_of_the_gaussians() -> None:
     assert np.allclose(np.sqrt(values), np.sort(cloud.scales, axis=1), rtol=1e-4)
 
 
+def test_a_gaussian_as_wide_as_a_sky_is_shown(page: CellPage) -> None:
+    """Its covariance was infinite in the browser, and the sky of a scene from elsewhere was not there."""
+    cloud, told = cloud_at(0, True), []
+    for sigma in (20.0, 300.0):
+        scales = np.full_like(cloud.scales, sigma)
+        scales[:, 2] /= 10
+        heard = Heard(START, encoded(convert.gaussians_to_pointcloud2(replace(cloud, scales=scales), int(sigma))))
+        page.show(Snapshot(START, {GAUSSIANS: heard}, {}, None))
+        handle = page.server.scene.get_handle_by_name("/gaussians/static")
+        assert handle is not None
+        told.append(np.linalg.eigvalsh(handle.covariances.astype(np.float64)))
+    assert np.isfinite(told[1]).all()
+    for widths in map(np.sqrt, told):
+        assert np.allclose(widths[:, 1:] / widths[:, :1], 10, rtol=0.05), "of the same shape"
+    assert (told[1] > told[0]).all()
+
+
 def test_capsule_meshes_enclose_their_ends() -> None:
     ends = np.array([[0.1, 0.2, 0.3], [0.4, -0.2, 0.9]])
     vertices = np.asarray(capsule_mesh(ends, 0.05).vertices)

@@ -183,20 +183,6 @@ def test_a_decision_that_is_old_says_so(page: CellPage, tmp_path: Path) -> None:
     assert page._arm_words.content.startswith("**There has been no decision about the arm for 6 s.**")
 
 
-def test_an_image_of_a_camera_that_sends_no_more_is_told_and_dark(
-    page: CellPage, cell_log: Callable[..., Path], tmp_path: Path
-) -> None:
-    """It stood there as if it showed the cell as it is, though who came before that camera since was not in it."""
-    cloud = cloud_log(tmp_path / "a.mcap", cloud_at(0, True))
-    with LogWriter(tmp_path / "later.mcap") as log:
-        log.write(GAUSSIANS, convert.gaussians_to_pointcloud2(cloud_at(0, True), START), START + 9 * 10**9)
-    at_once = shown(page, cloud, cell_log(0.5), seconds=0.5)("/cameras/cam_front").image
-    assert "cam" not in page._twin_words.content
-    late = shown(page, cell_log(0.5), tmp_path / "later.mcap", seconds=6)("/cameras/cam_front").image
-    assert "**Camera cam\\_front has sent no image for 6 s.**" in page._twin_words.content
-    assert np.array_equal(late, at_once // 2)
-
-
 def test_images_of_one_camera_are_in_its_frustum(
     page: CellPage, twin_log: Path, cell_log: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -15,6 +15,9 @@ from twin_node.scene import Float64, GaussianCloud, Tier
 SENT_SCALE = 10.0
 """Clouds are sent so many times as large, and shown so many times as small: the browser holds covariances as float16,
 which has no digits left for a Gaussian of 1 mm (1e-6 m^2)."""
+LARGEST_SENT = float(np.finfo(np.float16).max)
+"""Of a covariance as it is sent: a Gaussian wider than 25 m (1 sigma), as scenes of elsewhere have for their skies, is
+shown so wide, for it would not be shown at all."""
 STILL, MOVING = "/gaussians/static", "/gaussians/moving"
 
 
@@ -76,7 +79,9 @@ class SplatLayers:
                 self._layers.pop(name).remove()
             return
         centers = cloud.means.astype(np.float32) * np.float32(SENT_SCALE)
-        covariances = (covariances_of(cloud) * SENT_SCALE**2).astype(np.float32)
+        covariances = covariances_of(cloud) * SENT_SCALE**2
+        largest = covariances.max(axis=(1, 2), keepdims=True)
+        covariances = (covariances * np.minimum(1, LARGEST_SENT / np.maximum(largest, 1))).astype(np.float32)
         opacities = cloud.opacities[:, None]
         if name in self._layers:
             self._layers[name].set_gaussians(centers, covariances, cloud.rgb, opacities)
