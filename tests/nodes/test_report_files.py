@@ -114,6 +114,18 @@ def test_what_could_not_be_measured_is_null_and_has_a_reason(rate: float | None)
     assert "near" in figures["reasons"]["arm.min_distance_m"]
 
 
+def test_a_figure_beside_a_known_recall_is_not_for_lack_of_motion() -> None:
+    """Where the twin itself saw nothing move in time, but the truth knows what did, an overlap was said to be unknown
+    because nothing had moved."""
+    score = Score(0.9, 0.9, 0.9, 0.9, 10.0, 5.0, 1.0, None, 20.0)
+    told = [
+        figures_of(short_run(), Quality(), {}, Foresight(methods, "/truth/occupancy"), 0)["reasons"]["forecast.iou"]
+        for methods in ({"ours": score}, {"ours": replace(score, recall=None)})
+    ]
+    assert "(/truth/occupancy) cannot tell" in told[0]
+    assert told[1] == "nothing moved at a time that had been foreseen"
+
+
 def test_what_the_drift_watch_saw_is_told_by_the_time_of_the_span() -> None:
     """As pictures and curves are: where the first set came 5 s after the arm's joints it was told 5 s too early."""
     run, second = short_run(), 10**9

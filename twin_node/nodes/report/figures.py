@@ -98,7 +98,7 @@ def _reasons(figures: Mapping[str, Any], foresight: Foresight, collector: Collec
     reasons |= dict.fromkeys(_unknown(figures, "bytes_per_frame"), too_short)
     unscored = (
         f"the truth ({foresight.truth}) cannot tell"
-        if foresight.recalls
+        if foresight.recalls or any(score.recall is not None for score in foresight.methods.values())
         else "nothing moved at a time that had been foreseen"
     )
     reasons |= dict.fromkeys(_unknown(figures, "forecast"), unscored)
