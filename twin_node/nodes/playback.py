@@ -151,10 +151,6 @@ class Playback:
         earlier = partial(self._before, stamp)
         return Snapshot(stamp, self._said, self._cameras, self._assembler, earlier, partial(self._joints_with, stamp))
 
-    def stamps(self, topic: str, start_ns: int, stop_ns: int) -> list[int]:
-        """Log times (ns) of a topic's messages from `start_ns` on and before `stop_ns`; none for an unknown topic."""
-        return [entry.stamp for entry in self._messages(topic, start_ns, stop_ns)]
-
     def require(self, topic: str, purpose: str) -> None:
         """Raises `GraphError` where no log has a topic that is needed for `purpose`."""
         if topic not in self._topics:
