@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from twin_node import resources
 from twin_node.bench import cell, cell_picture, cell_scores
@@ -73,6 +74,16 @@ def test_a_picture_is_drawn_or_the_reason_given(
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match="choose another folder"):
         draw(results, parameters, tmp_path / "file")
+
+
+def test_the_legend_hides_no_count_of_contacts(results: list[cell.CaseResult]) -> None:
+    """It lay on the bars of whoever is slowed by nothing, which reach to the top, and on what they hit."""
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    axes = figure.add_subplot()
+    cell_picture._draw_work(axes, results)
+    figure.draw_without_rendering()
+    legend = axes.get_legend()
+    assert legend is not None and not legend.get_window_extent().overlaps(axes.get_window_extent())
 
 
 def test_what_is_drawn_is_as_late_as_what_was_scored(

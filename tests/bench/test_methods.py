@@ -221,6 +221,18 @@ def test_the_chart_has_no_bar_for_what_no_image_gave(
     assert len(labels) == 4 and labels[-1] == "" and "0.0" not in labels
 
 
+def test_the_chart_s_legend_lies_on_no_bar(
+    bench: MethodsBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It lay on the last row, ours, and on its figures."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(chart, "save_chart", lambda figure, folder, name: drawn.append(figure))
+    draw_chart(bench, tmp_path)
+    drawn[0].draw_without_rendering()
+    (legend,) = (own for own in (*drawn[0].legends, drawn[0].axes[0].get_legend()) if own is not None)
+    assert not legend.get_window_extent().overlaps(drawn[0].axes[0].get_window_extent())
+
+
 def _image_of(scene: MadeUp, stamp: int) -> np.ndarray:
     return next(unit(view) for view in scene.recording.held_out if view.stamp == stamp)
 

@@ -59,7 +59,7 @@ def _draw_work(axes: Axes, results: Sequence[CaseResult]) -> None:
     axes.set_xticks(range(len(names)), names)
     axes.set_ylabel("work, share of the unobstructed cycle")
     axes.set_ylim(0, 1.05)
-    axes.legend(ncols=len(BARS), loc="upper right", frameon=False)
+    axes.legend(ncols=len(BARS), loc="lower right", bbox_to_anchor=(1, 1), frameon=False)  # bars reach to the top
 
 
 def _draw_run(distance: Axes, speed: Axes, case: CellCase, policy: Policy, label: str) -> None:

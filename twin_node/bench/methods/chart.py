@@ -45,7 +45,7 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     """`methods.png` in `folder`: PSNR of all and of moving pixels. Raises `BenchError` where it cannot be written."""
     from matplotlib.figure import Figure
 
-    chart = Figure(figsize=(8, 0.5 * len(bench.rows) + 1.5), layout="constrained")
+    chart = Figure(figsize=(8, 0.5 * len(bench.rows) + 1.8), layout="constrained")
     axes = chart.add_subplot()
     titles = [row.title for row in bench.rows.values()]
     for offset, name in ((-0.2, "PSNR"), (0.2, "moving")):
@@ -59,6 +59,6 @@ def draw_chart(bench: MethodsBench, folder: Path) -> Path:
     axes.invert_yaxis()
     axes.set_axisbelow(True)
     axes.set_xlabel("PSNR on held-out cameras, dB")
-    axes.legend(loc="lower right")
+    chart.legend(loc="outside lower center", ncols=2, frameon=False)
     axes.set_title(f"{bench.data}, {bench.frames} frames of {bench.size}")
     return save_chart(chart, folder, "methods")
