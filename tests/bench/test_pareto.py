@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from twin_node.bench.errors import BenchError
 from twin_node.bench.methods.made_up import MadeUpParameters, make_up
 from twin_node.bench.methods.protocol import QUICK as QUICK_BUDGET
-from twin_node.bench.pareto import ablations, costs, suite
+from twin_node.bench.pareto import ablations, chart, costs, suite
 from twin_node.bench.pareto.chart import draw
 from twin_node.bench.pareto.front import dominated_sizes, on_front
 from twin_node.bench.pareto.hexplane import HEXPLANE, against_hexplane, said
@@ -152,6 +153,19 @@ def test_it_is_drawn_and_tabled(measured: Pareto, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match="choose another folder"):
         draw(measured, tmp_path / "file")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_legend_is_no_wider_than_the_chart(count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one data set both ends were cut, and with them what our own marks are."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(chart, "save_chart", lambda figure, folder, name: drawn.append(figure))
+    points = [point("ours_tiny", 10, 15), point("frozen", 1, 12)]
+    of_data = (dataclasses.replace(one, data=f"data {number}") for number in range(count) for one in points)
+    draw(Pareto(tuple(of_data)), tmp_path)
+    drawn[0].draw_without_rendering()
+    legend = drawn[0].legends[0].get_window_extent()
+    assert legend.x0 >= 0 and legend.x1 <= drawn[0].bbox.x1
 
 
 def test_sizes_are_written_as_a_replay_reads_them(tmp_path: Path) -> None:

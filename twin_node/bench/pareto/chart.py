@@ -49,7 +49,8 @@ def draw(found: Pareto, folder: Path) -> Path:
         _draw_marks(axes, shown)
     panels[0].set_ylabel("moving pixels of a camera left out, dB")
     figure.supxlabel("ms per set of images, one core (offline: whole training over the sets)", fontsize=10)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    named = panels[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside upper center", ncols=2 * len(data), frameon=False)
     figure.draw_without_rendering()
     for axes, shown in zip(panels, marks, strict=True):
         _name_marks(axes, shown)
