@@ -344,6 +344,20 @@ def test_a_film_has_the_colours_of_its_pictures(tmp_path: Path, size: tuple[int,
     assert np.abs(255 * np.array([r, g, b]) - colour).max() < 4
 
 
+def test_where_the_camera_s_own_image_does_not_reach_nothing_differs(tmp_path: Path) -> None:
+    """The rim, drawn out to corners that a lens does not see, was held against the twin as if it were seen there."""
+    log, rig_file = write_images(tmp_path / "a.mcap", {"bent": (160, 120)}), tmp_path / "rig.yaml"
+    lens = replace(camera_of("bent", (160, 120)), distortion_model="plumb_bob", D=np.array([0.2, 0, 0, 0, 0]))
+    save_rig(RigFile(Rig((lens,))), rig_file)
+    with Playback([log], 160, rig_file) as played:
+        snapshot = played.at(START)
+        view = snapshot.view("bent")
+        picture = Film(played, "beside", 160, arm_model("ur5e")).beside(snapshot)
+    assert view is not None and view.valid is not None and 0.1 < view.valid.mean() < 0.9
+    differs = picture.reshape(136, 4, 160, 3)[16:, 2].max(axis=2) > 20
+    assert np.array_equal(differs, view.valid)
+
+
 def camera_of(name: str, size: tuple[int, int]) -> RigCamera:
     width, height = size
     return RigCamera(name, width, height, np.array([[50.0, 0, width / 2], [0, 50, height / 2], [0, 0, 1]]), np.eye(4))

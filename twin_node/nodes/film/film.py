@@ -14,7 +14,7 @@ from twin_node.nodes.film.writer import FilmError
 from twin_node.nodes.overlays import MOVING_COLOUR, arm_mask, moving_mask
 from twin_node.nodes.playback import Playback
 from twin_node.nodes.report.pictures import FORESEEN, TRUE, fill, outline
-from twin_node.nodes.report.quality import render_cloud, unit
+from twin_node.nodes.report.quality import render_cloud, unit, valid_pixels
 from twin_node.nodes.snapshot import LONGEST_MOVE_S, SILENT_S, Snapshot, in_force
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_CHANGED, GAUSSIANS_MOVING, OCCUPANCY, SEPARATION
 from twin_node.robot import ArmModel
@@ -201,8 +201,11 @@ def _late_s(view: View, snapshot: Snapshot) -> float:
 
 
 def _difference(ours: Float32, view: View) -> UInt8:
-    """[H, W, 3] how much the rendering [H, W, 3] differs from the image, in false colours."""
-    error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2)
+    """[H, W, 3] how much the rendering [H, W, 3] differs from the image, in false colours.
+
+    Nothing where the camera's own image does not reach and its rim is drawn out.
+    """
+    error = ERROR_GAIN * np.abs(ours - unit(view)).mean(axis=2) * valid_pixels(view)
     heat = cv2.applyColorMap((np.clip(error, 0, 1) * 255).astype(np.uint8), cv2.COLORMAP_INFERNO)
     return np.asarray(cv2.cvtColor(heat, cv2.COLOR_BGR2RGB), np.uint8)
 
