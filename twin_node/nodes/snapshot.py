@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, TypeVar
+
+import numpy as np
 
 from twin_node.messages import Message, MessageError, convert, header_stamp
 from twin_node.nodes.cloud_updates import updated
@@ -22,7 +24,17 @@ from twin_node.nodes.topics import (
     CameraTopics,
 )
 from twin_node.rig import DecodedImage, FrameAssembler
-from twin_node.scene import GaussianCloud, JointPath, JointSample, Obstacles, Occupancy, Separation, View
+from twin_node.scene import (
+    Bool,
+    GaussianCloud,
+    JointPath,
+    JointSample,
+    Obstacles,
+    ObstacleShape,
+    Occupancy,
+    Separation,
+    View,
+)
 
 SILENT_S = 2.5
 """Longer than this neither twin nor arm are silent, s: their slowest words come once a second."""
@@ -144,7 +156,7 @@ class Snapshot:
     @cached_property
     def obstacles(self) -> Obstacles | None:
         """The newest obstacles, of every interval of their validity."""
-        return self._newest(OBSTACLES, convert.obstacles_from_message)
+        return self._newest(OBSTACLES, placed_obstacles)
 
     @cached_property
     def separation(self) -> Separation | None:
@@ -234,6 +246,21 @@ def _read(topic: str, said: Said, read: Callable[[Message], Read]) -> Read:
 
 def _decoded(message: Message) -> DecodedImage:
     return DecodedImage(header_stamp(message), convert.rgb_from_message(message), None)
+
+
+def placed_obstacles(message: Message) -> Obstacles:
+    """What a message says. Raises `MessageError` for obstacles that are nowhere, or of no size or turn."""
+    told = convert.obstacles_from_message(message)
+    is_ball: Bool = told.shapes == ObstacleShape.SPHERE
+    has_turn: Bool = (told.quats != 0).any(axis=1)
+    numbers = np.column_stack([told.positions, told.quats, told.sizes])
+    sound = np.isfinite(numbers).all(axis=1) & (has_turn | is_ball)
+    if not sound.all():
+        raise MessageError(
+            f"ObstacleArray: expected finite numbers and quaternions that are not 0, found others in {np.sum(~sound)} "
+            f"of {len(sound)} obstacles, the first of id {told.ids[sound.argmin()]}; the sender is at fault"
+        )
+    return told if has_turn.all() else replace(told, quats=np.where(has_turn[:, None], told.quats, [1.0, 0, 0, 0]))
 
 
 def in_force(obstacles: Obstacles | None, stamp: int) -> Obstacles:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.messages import convert
-from twin_node.nodes.snapshot import Said, Snapshot, in_force
+from twin_node.nodes.snapshot import Said, Snapshot, in_force, placed_obstacles
 from twin_node.nodes.topics import GAUSSIANS, GAUSSIANS_MOVING, OBSTACLES
 from twin_node.nodes.viewer.picking import Pick
 from twin_node.scene import Float64, GaussianCloud, MotionExpert, ObstacleKind, Obstacles, ObstacleShape, Tier
@@ -121,7 +121,7 @@ class PickedThing:
             if entry.stamp > first.stamp - BETWEEN_NS:
                 continue
             if picked.is_obstacle:
-                obstacles = convert.obstacles_from_message(entry.message)
+                obstacles = placed_obstacles(entry.message)
                 obstacles = in_force(obstacles, obstacles.stamp)
                 row = _row_of(obstacles, picked, first.position)
                 positions, picked = obstacles.positions, picked if row is None else _picked_row(obstacles, row)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from twin_node.arm.path import sample_path
 from twin_node.geometry import quat_from_rotation
+from twin_node.messages import MessageError
 from twin_node.messages.convert.markers import KIND_COLOURS, KIND_OPACITIES
 from twin_node.nodes.snapshot import Snapshot, in_force
 from twin_node.robot import ArmModel, forward_kinematics
@@ -118,8 +119,13 @@ class ObstacleShapes:
         """What is drawn: the boxes around all that stands would hide it."""
 
     def show(self, snapshot: Snapshot) -> None:
-        """Puts every obstacle where it is."""
-        obstacles = in_force(snapshot.obstacles, snapshot.stamp)
+        """Puts every obstacle where it is. Raises `MessageError` where they cannot be told, and shows none then."""
+        try:
+            obstacles = in_force(snapshot.obstacles, snapshot.stamp)
+        except MessageError:
+            for handle in self._handles.values():
+                handle.visible = False
+            raise
         for kind in ObstacleKind:
             for shape in ObstacleShape:
                 chosen = (obstacles.kinds == kind) & (obstacles.shapes == shape)
