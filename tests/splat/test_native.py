@@ -292,6 +292,22 @@ def test_gaussians_without_a_size_are_drawn_as_the_blur(library: SplatLibrary):
     assert_close(differentiate(rasterize, case), differentiate(rasterize_reference, case.to(torch.float64)))
 
 
+@pytest.mark.parametrize("times", [0.2, 3.0])
+def test_cameras_in_other_units_see_as_much(times: float, library: SplatLibrary):
+    """What reaches into the image from beside it was not drawn by a camera that makes all larger."""
+    case = make_case(count=600, channels=3, render_mode="RGB+D")
+    viewmats = case.viewmats.clone()
+    viewmats[:, :3, :3] *= times
+    viewmats[:, :3, 3] *= times
+    shear = torch.eye(4)
+    shear[0, 1] = 1.5
+    wide = replace(case, means=case.means * torch.tensor([2.0, 2.0, 1.0]), viewmats=shear @ viewmats)
+    expected = differentiate(rasterize_reference, wide.to(torch.float64))
+    found = differentiate(rasterize, wide)
+    assert_close(found, expected)
+    assert float((found.meta.radii != expected.meta.radii).float().mean()) < 2e-3
+
+
 def test_equal_depths_keep_the_gaussians_order(library: SplatLibrary):
     case = make_case(count=64, cameras=1, channels=3)
     flat = case.means.clone()

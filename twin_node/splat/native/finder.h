@@ -133,7 +133,8 @@ class Finder {
     const Vec inverse_z = 1.0f / point[2], x = point[0] * inverse_z, y = point[1] * inverse_z;
     const Vec ux = max(min(x, broadcast(c.x_max)), broadcast(c.x_min));
     const Vec uy = max(min(y, broadcast(c.y_max)), broadcast(c.y_min));
-    const Vec in_pixels_x = c.fx * inverse_z * largest, in_pixels_y = c.fy * inverse_z * largest;
+    const Vec half_axis = c.stretch * largest;
+    const Vec in_pixels_x = c.fx * inverse_z * half_axis, in_pixels_y = c.fy * inverse_z * half_axis;
     const Vec reach_x = reach_of(in_pixels_x * in_pixels_x * (1.f + ux * ux));
     const Vec reach_y = reach_of(in_pixels_y * in_pixels_y * (1.f + uy * uy));
     const Vec px = c.fx * x + c.cx, py = c.fy * y + c.cy;

@@ -9,6 +9,7 @@ namespace splat {
 
 struct Camera {
   float R[9], t[3];                  // world to camera
+  float stretch;                     // at least as many times as R makes any vector longer; of a rotation 1
   float fx, fy, cx, cy;              // pixels
   float x_min, x_max, y_min, y_max;  // x/z and y/z are clamped to these where the Jacobian is taken
   double inverse_R[9];               // of R, which need not be a rotation to the last bit
@@ -38,12 +39,28 @@ inline bool invertible(const float *viewmat) {
   return invert(R, inverse);
 }
 
+// A bound of how many times R makes a vector longer: the largest sum of a row of |R R'| is no less than its square.
+inline float stretch_of(const float *R) {
+  double most = 0;
+  for (int i = 0; i < 3; i++) {
+    double sum = 0;
+    for (int j = 0; j < 3; j++) {
+      const float *a = R + 3 * i, *b = R + 3 * j;
+      sum += std::fabs(static_cast<double>(a[0]) * b[0] + static_cast<double>(a[1]) * b[1] +
+                       static_cast<double>(a[2]) * b[2]);
+    }
+    most = sum > most ? sum : most;
+  }
+  return static_cast<float>(std::sqrt(most));
+}
+
 inline Camera make_camera(const float *viewmat, const float *K, int width, int height) {
   Camera camera{};
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) camera.R[i * 3 + j] = viewmat[i * 4 + j];
     camera.t[i] = viewmat[i * 4 + 3];
   }
+  camera.stretch = stretch_of(camera.R);
   invert(camera.R, camera.inverse_R);
   for (int i = 0; i < 3; i++) {
     const double *row = camera.inverse_R + 3 * i;
