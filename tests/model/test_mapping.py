@@ -310,6 +310,24 @@ def test_what_steps_cannot_show_is_given_new_gaussians() -> None:
     assert errors[-1] < 0.5 * errors[1]
 
 
+def test_in_images_of_odd_sizes_new_gaussians_have_the_colours_of_their_own_blocks() -> None:
+    """Blocks were stretched over the whole image: of the last one three quarters were not what it shows."""
+    (store, backgrounds), camera = half_a_table(0), rig(81, 61)[0]
+    mapper, observer = Mapper(MapParameters(patience_s=0.0), store, backgrounds, store.capacity), Observer(60.0)
+    before, still, greenest = frames(0, None, [camera]), [np.zeros((61, 81), bool)], torch.zeros(3)
+    for index in range(8):
+        (background,) = backgrounds.of(store, [camera])
+        rgb = np.clip(background.rgb * 255, 0, 255).astype(np.uint8)
+        if index > 0:
+            rgb[58:60, 78:80] = 0, 255, 0
+        stamp = before.stamp + index * 33_000_000
+        now = replace(before, stamp=stamp, views=(replace(before.views[0], stamp=stamp, rgb=rgb),))
+        list(mapper.refine(observer.observe(now, still, [None], [background], 0.033), stamp, 1))
+        for colour in store.values[store.alive & (store.births == stamp), RGB]:
+            greenest = torch.where(colour[1] > greenest[1], colour, greenest)
+    np.testing.assert_allclose(greenest, [0, 1, 0], atol=1e-6)
+
+
 def test_what_stands_and_the_arm_together_leave_room_for_what_moves() -> None:
     store, backgrounds = half_a_table(60)
     most = len(store) + 5

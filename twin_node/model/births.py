@@ -88,7 +88,7 @@ def _unexplained(one: Observed, rendering: Rendering, quota: int, side: int) -> 
     at = np.nonzero(counts)
     error = np.zeros_like(one.surprise)
     error[at] = largest_channel(image[at], rendering.pixels[..., :3][at])
-    errors, colours = _block_means(error, BLOCK), _block_means(image, BLOCK)
+    errors, colours = block_means(error, BLOCK), block_means(image, BLOCK)
     wrong = errors > MOVING_THRESHOLD
     times = side // BLOCK
     large = _united(wrong, colours, times) if times > 1 else np.zeros_like(wrong[:0, :0])
@@ -97,8 +97,8 @@ def _unexplained(one: Observed, rendering: Rendering, quota: int, side: int) -> 
     found = (np.nonzero(large), np.nonzero(wrong & ~of_large))
     sides = np.repeat([side, BLOCK], [len(rows) for rows, _ in found])
     rows, columns = (np.concatenate(at) * sides for at in zip(*found, strict=True))
-    sums = np.concatenate([side**2 * _block_means(error, side)[found[0]], BLOCK**2 * errors[found[1]]])
-    rgb = np.concatenate([_block_means(image, side)[found[0]], colours[found[1]]])
+    sums = np.concatenate([side**2 * block_means(error, side)[found[0]], BLOCK**2 * errors[found[1]]])
+    rgb = np.concatenate([block_means(image, side)[found[0]], colours[found[1]]])
     worst = np.argsort(-sums, kind="stable")[:quota]
     middle = sides // 2 - 1
     return Pixels((rows + middle)[worst], (columns + middle)[worst], rgb[worst], sides[worst])
@@ -114,8 +114,8 @@ def _united(wrong: Bool, colours: Float32, times: int) -> Bool:
     return whole & alike
 
 
-def _block_means(image: Float32, side: int) -> Float32:
-    """[H // side, W // side, ...] of whole blocks of an image [H, W, ...]."""
+def block_means(image: Float32, side: int) -> Float32:
+    """[H // side, W // side, ...] means of the whole blocks of `side` pixels squared of an image [H, W, ...]."""
     rows, columns = (of // side for of in image.shape[:2])
     if not rows * columns:
         return np.zeros((rows, columns, *image.shape[2:]), np.float32)

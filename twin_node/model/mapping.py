@@ -11,7 +11,6 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from twin_node.model import least_squares
 from twin_node.model.adoption import NEWBORN_OPACITY
 from twin_node.model.backgrounds import Background, Backgrounds, grow
 from twin_node.model.birth_depths import BLOCK
-from twin_node.model.births import SPREAD
+from twin_node.model.births import SPREAD, block_means
 from twin_node.model.gaussians import Gaussians, Newborns
 from twin_node.model.least_squares import AtRest
 from twin_node.model.observation import Observed
@@ -113,11 +112,8 @@ class Mapper:
 
     def _fill(self, views: Sequence[_Wanting], index: int, stamp: int) -> None:
         """New STATIC Gaussians where those that are there cannot show what a camera sees at rest."""
-        rest, camera = views[index].rest, views[index].camera
-        size = (camera.width // BLOCK, camera.height // BLOCK)
-        if 0 in size:
-            return
-        lacking: Float32 = cv2.resize(rest.lacking, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+        rest = views[index].rest
+        lacking = block_means(rest.lacking, BLOCK)
         blocks = np.flatnonzero(lacking > LACKING)
         if not len(blocks):
             return
@@ -126,9 +122,8 @@ class Mapper:
         order = blocks[np.argsort(-lacking.ravel()[blocks], kind="stable")][:most]
         if not len(order):
             return
-        colours: Float32 = cv2.resize(rest.rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         rows, columns = np.unravel_index(order, lacking.shape)
-        patches = _Patches(rows * BLOCK, columns * BLOCK, colours[rows, columns])
+        patches = _Patches(rows * BLOCK, columns * BLOCK, block_means(rest.rgb, BLOCK)[rows, columns])
         self._gaussians.spawn(self._newborns(views, index, patches), stamp)
         rest.fill(patches.rows, patches.columns)
         self._backgrounds.mark()
