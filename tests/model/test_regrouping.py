@@ -11,6 +11,7 @@ from torch import Tensor
 
 from twin_node.model.cells import Cells
 from twin_node.model.decisions import Kind, LogEvidence
+from twin_node.model.evidence import PROMOTE, Fits, accumulate
 from twin_node.model.gaussians import MEAN, Gaussians, Newborns
 from twin_node.model.merge_split import Merge, MergeSplit, Regrouping, Split
 from twin_node.model.nodes import Nodes
@@ -76,6 +77,7 @@ def test_what_parts_begins_turned_and_rigid_as_what_it_leaves(
     held: tuple[Gaussians, Nodes, Carried], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, nodes, _ = held
+    nodes.evidence[:2] = 2 * PROMOTE
     leaving = np.array([False, False, True, False])
     assert done(held, Split(0, leaving, GROUNDS), monkeypatch) is Kind.SPLIT
     assert store.nodes[:4].tolist() == [0, 0, 2, 1]
@@ -83,6 +85,9 @@ def test_what_parts_begins_turned_and_rigid_as_what_it_leaves(
     assert nodes.positions[2].tolist() == pytest.approx([0.12, 0.0, 0.0])
     assert nodes.tiers[:3].tolist() == [Tier.RIGID, Tier.DEFORMABLE, Tier.RIGID]
     assert store.tiers[:4].tolist() == [Tier.RIGID] * 3 + [Tier.DEFORMABLE]
+    unheard = Fits(*torch.zeros(3, nodes.capacity, dtype=torch.float64))
+    bends = accumulate(nodes.evidence, unheard) > PROMOTE
+    assert bends[:3].tolist() == [False, True, False], "it bends again at once"
 
 
 def test_what_is_passed_on_has_the_node_it_goes_to_as_founder(

@@ -84,4 +84,5 @@ def _split(gaussians: Gaussians, carried: Carried, nodes: Nodes, merge_split: Me
         nodes.velocities[node], nodes.angular_velocities[node] = velocity[:3], velocity[3:]
     gaussians.tiers[rows_where(gaussians.alive & (gaussians.nodes == one.node))] = int(Tier.RIGID)
     nodes.tiers[one.node] = int(Tier.RIGID)
+    nodes.evidence[one.node] = 0  # that it bends was said of both as of one body
     return Decision(Kind.SPLIT, nodes.stamp, int(nodes.ids[one.node]), int(nodes.ids[begun]), one.grounds)
