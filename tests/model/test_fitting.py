@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from model_scenes import block, frames, joined, rig, table
+from model_scenes import block, frames, joined, rig, sliding, table
 
 from twin_node import splat
-from twin_node.model import fitting
+from twin_node.model import ModelParameters, SeedParameters, WindowModel, fitting
 from twin_node.model.carriage import carry
 from twin_node.model.descending import Descended, Path, descend_fused, descend_reference
 from twin_node.model.fitting import FULL_SHARE, affordable_steps, fit_all
@@ -94,6 +94,18 @@ def test_what_hardly_shows_keeps_the_colour_of_its_seed_where_depth_tells_its_pl
     assert render(store.standing(store.values), CAMERAS)[0].rgb.mean() > before + 0.3, "what shows learns"
     strayed = (store.values[seeds, RGB] - 0.3).abs().amax(1)
     assert (strayed.median() < 0.05) == depth
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_model_without_room_for_any_gaussian_follows_all_the_same(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without compiled kernels the first fit ended in a traceback of torch's, for nothing had a gradient."""
+    if not compiled:
+        monkeypatch.setattr(splat, "can_descend", lambda _: False)
+    model = WindowModel(ModelParameters(most_gaussians=1, seed=SeedParameters(steps=2)))
+    for one in sliding(3, CAMERAS):
+        assert len(model.update(one).gaussians.means) <= 1
 
 
 def test_wide_images_are_fitted_in_larger_pixels_first(monkeypatch: pytest.MonkeyPatch) -> None:

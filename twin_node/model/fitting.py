@@ -59,6 +59,8 @@ def fit_all(gaussians: Gaussians, views: Sequence[View], steps: int) -> None:
     is_coarse = gaussians.values.device.type == "cpu"
     coarse_steps = int(COARSE_SHARE * steps / AT_ONCE) * AT_ONCE if is_coarse else 0
     rows = torch.nonzero(gaussians.alive)[:, 0]
+    if not len(rows):
+        return
     no_nodes = Poses(*(torch.zeros(len(views), 0, width, dtype=torch.float64) for width in (3, 4)))
     at_rest = carry(no_nodes, torch.full_like(rows, -1))
     alone, seeded = gaussians.standing(gaussians.values[:0]), gaussians.values[rows, RGB]
