@@ -100,6 +100,20 @@ def test_steps_keep_colours_and_sizes_in_bounds() -> None:
     assert store.values[:, LOG_SCALE].exp().min() > 4e-4
 
 
+def test_what_nothing_pulls_at_keeps_what_is_out_of_bounds() -> None:
+    """Before a camera that is near newborns may be smaller than steps make any: they grew without a step."""
+    store = Gaussians(2, torch.device("cpu"))
+    rows = store.spawn(newborns(2), 0)
+    store.values[rows, LOG_SCALE] = -9.0
+    before, gradient = store.values.clone(), torch.zeros(2, 14)
+    gradient[1] = 1.0
+    descent = store.descent(rows)
+    descent.step(gradient, torch.full((2, 14), 1e-3))
+    descent.end()
+    assert torch.equal(store.values[0], before[0])
+    assert (store.values[1] != before[1]).any()
+
+
 def moving_world() -> tuple[Gaussians, Motion]:
     """Four STATIC Gaussians and a turned node."""
     store, nodes = Gaussians(6, torch.device("cpu")), Nodes(3, 4)

@@ -62,6 +62,6 @@ def adam_step(state: AdamState, gradient: Tensor, bounds: Bounds, decays: Decays
     scales.clamp_(min=bounds.smallest_log_scale)
     rgb.clamp_(0, 1)
     finite = torch.isfinite(values).all(1)
-    values = torch.where(finite[:, None], values, state.values)
+    values = torch.where((finite & pulled)[:, None], values, state.values)
     m, v = (torch.where(finite[:, None], of, 0) for of in (m, v))
     return AdamState(values, m, v, torch.where(finite, taken, 0)), ~finite
