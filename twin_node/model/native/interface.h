@@ -11,7 +11,7 @@ constexpr int32_t kInterfaceVersion = 29;
 
 constexpr int kRowsPerTask = 32;  // of an image whose pixels are independent
 
-// What counts as change; see `MovingMaskParameters`. Levels are those of 8-bit images.
+// What counts as change; see `camera_mask.py`. Levels are those of 8-bit images.
 struct MaskRules {
   double change_sigmas, change_levels, settle_ns, smallest_area, shadow_darkest, reflection_brightest;
   double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels, telling, lost_ns;
