@@ -322,6 +322,20 @@ def test_cameras_may_come_and_go(scene: Scene) -> None:
         assert not any(one.any() for one in found)
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_camera_whose_images_come_smaller_begins_anew_however_they_are_looked_at(times: int) -> None:
+    """Those of twice the size are looked at in as many pixels: what a part of the image shows then was all moving."""
+    mask, stamp = MovingMask(), 0
+    rng = np.random.default_rng(4)
+    whole = cv2.resize(rng.integers(0, 255, (24, 32, 3), np.uint8), (320 * times, 240 * times))
+    for image in (whole, whole, whole[:240, :320], whole[:240, :320]):
+        camera = Camera("cam", image.shape[1], image.shape[0], np.eye(3), np.eye(4))
+        stamp += STEP_NS
+        (found,) = mask.update(FrameSet(stamp, (View(camera, stamp, np.ascontiguousarray(image)),)), [None])
+        assert found.shape == image.shape[:2]
+        assert not found.any()
+
+
 def test_pixels_without_an_image_are_never_moving(scene: Scene) -> None:
     valid = np.ones((HEIGHT, WIDTH), np.bool_)
     valid[:, :40] = False

@@ -44,6 +44,8 @@ class MovingMask:
         self._narrower = WholeNarrower()
         self._cameras: dict[str, CameraMask] = {}
         self._rests: dict[str, LongRest] = {}
+        self._sizes: dict[str, tuple[int, ...]] = {}
+        """Of the images as they came, by camera: one that comes with another is a new camera."""
         self._stamp = 0
         self._bared_at: int | None = None
         self.is_still = True
@@ -67,7 +69,7 @@ class MovingMask:
         views = [self._narrowed(view) for view in frames.views]
         given_robots = zip(views, robot_masks, strict=True)
         robots = [None if robot is None else narrowed_to(view.camera, robot) for view, robot in given_robots]
-        cameras = [self._camera_of(view) for view in views]
+        cameras = [self._camera_of(*of) for of in zip(views, frames.views, strict=True)]
         given = list(zip(cameras, views, robots, strict=True))
         if can_compile(cameras):
             masks = update_compiled(cameras, views, robots)
@@ -86,12 +88,12 @@ class MovingMask:
         """The view as it is looked at."""
         return self._narrower.down_to(view, WIDTH)
 
-    def _camera_of(self, view: View) -> CameraMask:
-        camera = self._cameras.get(view.camera.name)
-        if camera is None or camera.shape != view.rgb.shape[:2]:
-            camera = self._cameras[view.camera.name] = CameraMask(view)
-            self._rests[view.camera.name] = LongRest()
-        return camera
+    def _camera_of(self, view: View, whole: View) -> CameraMask:
+        """That of a `view`, which came as the `whole`."""
+        name, size = whole.camera.name, whole.rgb.shape[:2]
+        if self._sizes.get(name) != size:
+            self._sizes[name], self._cameras[name], self._rests[name] = size, CameraMask(view), LongRest()
+        return self._cameras[name]
 
 
 def _widened(mask: Bool, view: View, robot: Bool | None) -> Bool:
