@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from model_scenes import TICK_NS, frames, rig, sliding
 
-from twin_node.model import ModelParameters, SeedParameters, TrackParameters, WindowModel, tracker
+from twin_node.model import BirthParameters, ModelParameters, SeedParameters, TrackParameters, WindowModel, tracker
 from twin_node.model.fitting import Fitted, fit_moving
 from twin_node.model.population import TURNOVER
 from twin_node.model.stages import exhausted, unhurried
@@ -70,3 +70,18 @@ def test_sets_that_are_far_apart_take_more_steps_unless_others_wait(
         model.update(frames(i * ticks, -0.1 + 0.02 * i, CAMERAS, depth=True))
         model.refine(exhausted if waits else unhurried)
     assert taken[-1] == int(5 * stretch)
+
+
+@pytest.mark.parametrize(("pause_s", "depth"), [(20 * 60, True), (10 * 3600, False)])
+def test_a_node_of_which_little_is_seen_outlives_a_pause_of_minutes_and_of_hours(pause_s: int, depth: bool) -> None:
+    """What it may have moved by grew with the square of the pause, until what one pixel tells could not be solved for:
+    its place was no number, and the model ended with the next drawing."""
+    birth = BirthParameters(node_members=1, per_set=3 if depth else 200)
+    model = WindowModel(replace(QUICK, seed=SeedParameters(steps=4), birth=birth))
+    for index, one in enumerate(sliding(10, rig(40, 30), depth)):
+        later = max(index - 7, 0) * pause_s * 1_000_000_000
+        views = tuple(replace(view, stamp=view.stamp + later) for view in one.views)
+        state = model.update(replace(one, stamp=one.stamp + later, views=views))
+        model.refine()
+        assert np.isfinite(state.gaussians.means).all()
+        assert np.isfinite(state.nodes.positions).all()

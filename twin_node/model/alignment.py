@@ -15,6 +15,7 @@ from torch import Tensor
 
 from twin_node.model.cells import Cells
 from twin_node.model.evidence import Fits
+from twin_node.model.nodes import FORETOLD_NS
 from twin_node.model.normal_equations import SHARED_BY, NormalEquations
 from twin_node.model.observation import Observed
 from twin_node.model.points import Carried
@@ -25,6 +26,9 @@ ACCELERATION, TURN_ACCELERATION = 10.0, 20.0
 """m/s2 and rad/s2 (1 sigma) that a prediction may be wrong by: what a quick human arm does."""
 LEAST_OFF, LEAST_TURNED = 2e-3, 1e-2
 """m and rad (1 sigma) that it is wrong by at least."""
+SHORTEST_S, LONGEST_S = 1e-3, FORETOLD_NS * 1e-9
+"""Time without a correction that a prediction may be wrong by as much as in, s: after more nodes are looked for where
+they were. It grows with the square of it, and what is held to nothing cannot be solved for where little is seen."""
 UNNOTICED_S = 0.13
 """For how long what now moves may have done so while it was taken to stand, s."""
 FLOW_SIGMA_PX = 0.5
@@ -79,7 +83,7 @@ def solve_twists(
         carried_here = Carried(means[index], arms[index], opacities, within)
         said.add_view(carried_here, one, renderings[index], flows[index], stride / (SHARED_BY * FLOW_SIGMA_PX**2))
     normal = said.summed(cells.nodes, origins.shape[1])
-    step = max(unseen_s, 1e-3) ** 2 / 2
+    step = min(max(unseen_s, SHORTEST_S), LONGEST_S) ** 2 / 2
     motion = np.array([ACCELERATION * step + LEAST_OFF] * 3 + [TURN_ACCELERATION * step + LEAST_TURNED] * 3)
     rigid = normal.solve(6, motion)
     strained = normal.solve(12, np.concatenate([motion, np.full(6, STRAIN)]))
