@@ -11,7 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from simulated_boards import a_lens, around
 
 from twin_node.geometry import inverse_pose, looking_at, transform
@@ -73,20 +75,27 @@ def test_a_page_with_a_rig_before_and_residuals(rig_file: RigFile, tmp_path: Pat
     assert all(picture.std() > 5 for picture in drawn)
 
 
-def test_names_of_axes_do_not_lie_upon_each_other(rig_file: RigFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of a rig that is as high as it is wide stood on those of what is beside it."""
+@pytest.mark.parametrize("height", [0.3, 1.4])
+def test_the_drawings_of_a_rig_do_not_lie_upon_each_other(
+    rig_file: RigFile, height: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names and numbers of the oblique one stood upon those of what is beside it."""
     looked_at = np.array([0.1, 0.1, 1.0])
-    poses = (looking_at(np.array(place), looked_at) for place in ((0, 0, 0), (1.0, -0.5, 0.3), (1.3, -0.6, 1.4)))
+    poses = (looking_at(np.array(place), looked_at) for place in ((0, 0, 0), (1.0, -0.5, 0.3), (1.3, -0.6, height)))
     cameras = (replace(camera, T_base_cam=pose) for camera, pose in zip(rig_file.rig.cameras, poses, strict=True))
     rig_file = replace(rig_file, rig=Rig(tuple(cameras)))
     drawn: list[Figure] = []
     monkeypatch.setattr(report_pictures, "_picture", lambda *given: drawn.append(given[-1]))
     report_pictures.draw_rig(rig_file, None)
     drawn[0].draw_without_rendering()
-    oblique, *flat = drawn[0].axes
-    names = [oblique.zaxis.label, *(axes.yaxis.label for axes in flat)]
-    for one, other in combinations([name.get_window_extent() for name in names], 2):
-        assert not one.overlaps(other)
+    boxes = [_box_of(axes) for axes in drawn[0].axes]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def _box_of(axes: Axes) -> Bbox:
+    """All that can be seen of a drawing: its lines, numbers and names."""
+    seen = [part.get_tightbbox() for part in (*axes.lines, *axes.texts, *axes._axis_map.values())]
+    return Bbox.union([box for box in seen if box is not None])
 
 
 def test_without_recordings_the_rig_alone_is_drawn(rig_file: RigFile, tmp_path: Path) -> None:

@@ -34,8 +34,9 @@ ELLIPSE_SIGMAS = 3.368
 SINGLE_CAMERA_SIZE_M = 1.0
 """Size of the drawing of a rig of one camera, which has none."""
 OBLIQUE_ZOOM, OBLIQUE_TICKS = 0.8, 5
-"""Size of the oblique drawing as a share of Matplotlib's own, whose names of axes lie upon what is beside it, and about
-how many numbers an axis has: along a short one more would."""
+"""Size of the oblique drawing as a share of Matplotlib's own, whose numbers lie upon what is beside it, and about how
+many numbers an axis has: along a short one more would lie upon each other. The vertical axis has no name, for which
+there is no room."""
 HEAT_CELLS = 16
 """Cells across an image in which corners are counted."""
 GHOST = "#9aa0a6"
@@ -61,7 +62,7 @@ def draw_rig(rig_file: RigFile, before: Rig | None) -> Picture:
         lines = _outline(camera, DRAWN_SHARE * size)
         oblique.plot(*lines.T, color=f"C{number}", linewidth=1)
         oblique.text(*camera.T_base_cam[:3, 3], f" {camera.name}", color=f"C{number}", fontsize=8)
-    oblique.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+    oblique.set(xlabel="x (m)", ylabel="y (m)", title="obliquely, z up")
     oblique.tick_params(labelsize=7)
     oblique.locator_params(nbins=OBLIQUE_TICKS)
     sides = np.ptp([oblique.get_xlim(), oblique.get_ylim(), oblique.get_zlim()], axis=1)
