@@ -178,9 +178,12 @@ def test_nothing_lands_where_nothing_stands_nor_on_the_side_of_what_does() -> No
     centers = GRID.origin + np.array([[0.6, 0.6, 0.55], [0.09, 0.6, 0.55], [0.9, 0.6, 0.55]])
     down = np.array([0.0, 0.0, -2.0])
     whole = falling(centers[:2], down, np.full(2, 0.05))
-    assert np.isfinite(floors_of(GRID, table_at(height), centers[:2], whole)).tolist() == [True, False]
+    bottom, top = GRID.origin[2], GRID.origin[2] + (height + 1) * GRID.voxel_size
+    assert floors_of(GRID, table_at(height), centers[:2], whole) == pytest.approx([top + 0.05, bottom + 0.05])
     aside = falling(centers[2:], np.array([5.0, 0.0, 0.0]), np.full(1, 0.05))
-    assert np.isneginf(floors_of(GRID, table_at(height, side=19), centers[2:], aside)).all()
+    assert floors_of(GRID, table_at(height, side=19), centers[2:], aside) == pytest.approx(bottom + 0.05)
+    upward = falling(centers[:1], np.array([0.0, 0.0, 4.0]), np.full(1, 0.05))
+    assert np.isneginf(floors_of(GRID, Bits.none(GRID.dims), centers[:1], upward)).all()
     assert np.isneginf(floors_of(GRID, table_at(height), centers, Whole.none(3))).all()
 
 
@@ -203,6 +206,19 @@ def test_what_falls_is_clear_until_shortly_before_it_lands_or_strikes_a_wall() -
     wall_m = GRID.dims[0] * GRID.voxel_size - 3 * GRID.voxel_size - 0.5
     assert 0 < clear_s([0.5, 0.6, above + 0.1], aside, table_at(height, side=19), []) < wall_m / 3.0
     assert clear_s([0.6, 0.6, above], [0.0, 0.0, 1.0], Bits.none(GRID.dims), []) > 0.3
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 3.0])
+def test_below_the_grid_is_a_table_or_the_floor(aside_m: float) -> None:
+    """Nothing stood there to the twin where a workspace begins above it, and a ball was told to touch nothing."""
+    nothing, down, fall_m = Bits.none(GRID.dims), [0.0, 0.0, -2.0], 0.2
+    lands_s = (np.sqrt(2.0**2 + 2 * 9.81 * fall_m) - 2.0) / 9.81
+    assert 0 < clear_s([0.6 + aside_m, 0.6, 0.05 + fall_m], down, nothing, []) < lands_s
+    assert clear_s([0.6 + aside_m, 0.6, 0.05], down, nothing, []) == 0
+    assert clear_s([0.6 + aside_m, 0.6, 0.05], [0.0, 0.0, 1.5], nothing, []) > 0.1, "it has bounced"
+    centers = GRID.origin + np.array([[0.6 + aside_m, 0.6, 0.05 + fall_m]])
+    whole = falling(centers, np.array(down), np.full(1, 0.05))
+    assert floors_of(GRID, nothing, centers, whole) == pytest.approx(GRID.origin[2] + 0.05)
 
 
 def test_what_comes_off_the_table_is_clear_and_what_comes_down_on_it_is_not() -> None:

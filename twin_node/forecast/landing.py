@@ -20,10 +20,11 @@ class Landing:
 
     floors: Float64
     """[M] heights (m) that the middles do not get below: what stands where the lowest of the thing first comes down on
-    it. -inf where nothing does, and for what does not fall."""
+    it, or the grid's bottom, below which is a table or the floor. -inf where it comes down on neither as far as one
+    looks ahead, and for what does not fall."""
     clear_s: Float64
-    """[M] s for which the thing touches neither what stands nor what else moves, as far as one looks ahead; 0 for what
-    is not seen to fall."""
+    """[M] s for which the thing touches neither these nor what else moves, as far as one looks ahead; 0 for what is not
+    seen to fall."""
 
     @classmethod
     def none(cls, count: int) -> Landing:
@@ -99,9 +100,9 @@ class _Fall:
 
 
 def _held(grid: Grid, mask: Bits, points: Float64) -> Bool:
-    """[T, n] whether a mask has the voxels at points [T, n, 3] (m)."""
+    """[T, n] whether a mask has the voxels at points [T, n, 3] (m), or they lie below the grid: in a table or floor."""
     indices = grid.indices(points.reshape(-1, 3)).reshape(points.shape[:2])
-    held: Bool = (indices >= 0) & mask.holds(np.maximum(indices, 0))
+    held: Bool = (indices >= 0) & mask.holds(np.maximum(indices, 0)) | (points[..., 2] < grid.origin[2])
     return held
 
 
