@@ -12,6 +12,7 @@ from twin_node.forecast.bits import Bits
 from twin_node.forecast.experts import GRAVITY
 from twin_node.forecast.flights import Course
 from twin_node.forecast.landing import landing_of
+from twin_node.forecast.parts import PART_SIZE
 from twin_node.forecast.things import Whole
 from twin_node.scene import Float64, Grid
 
@@ -280,6 +281,18 @@ def test_what_rises_over_an_edge_with_its_lower_parts_has_not_run_into_it() -> N
     low, high = [0.58, 0.6, top + 0.005], [0.58, 0.6, top + 0.1]
     assert of_one([low, high], [2.0, 0.0, 0.6], edge) > 0.04
     assert of_one([low, high], [0.0, 0.5, 0.7], table_at(10)) < 0.12, "it comes down again, the lower part first"
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3])
+@pytest.mark.parametrize("share", [0.08, 0.3, 0.5, 0.7, 0.92])
+def test_what_flies_into_the_edge_of_a_table_top_is_clear_until_then_at_any_height(parts: int, share: float) -> None:
+    """A table top is one voxel thick to who looks down on it: it lay between the middles of two parts, or below."""
+    top, height = block([25, 0, 15], [40, 40, 16]), parts * PART_SIZE
+    strikes_s = (25 * GRID.voxel_size - 0.45 - PART_SIZE / 2) / 3.0
+    bottom = 15.5 * GRID.voxel_size - share * height  # of the thing as it strikes, and it is about as high now
+    centers = [[0.45, 0.6, bottom + (part + 0.5) * PART_SIZE] for part in range(parts)]
+    assert 0 < of_one(centers, [3.0, 0.0, GRAVITY[2] / -2 * strikes_s], top) < strikes_s
+    assert of_one(centers, [-1.0, 0.0, 0.0], top) > 0.1
 
 
 def test_what_moves_beside_the_far_end_of_a_long_thing_is_near() -> None:

@@ -59,7 +59,8 @@ def landing_of(
         mine = np.flatnonzero(thing_of.reshape(-1) == thing)
         body = mine[solid[rows[mine]]]
         if len(body) and whole.seen_falling[rows[mine[0]]]:
-            fall, others = _Fall(times, drops[:, body[0]], centers[rows[body]]), solid.copy()
+            fall = _Fall(times, drops[:, body[0]], centers[rows[body]], above[body])
+            others = solid.copy()
             others[rows[body]] = False
             strikes = fall.strikes(grid, stands if own is None else stands | own)
             until = fall.until(lands[:, body].any(axis=1) | strikes | fall.nears(centers[others]))
@@ -78,14 +79,25 @@ class _Fall:
     """[T, 3] by which it has moved then, m."""
     centers: Float64
     """[n, 3] of its parts now, m."""
+    above: Float64
+    """[n] m, by which these are above the lowest of it."""
 
     def strikes(self, grid: Grid, mask: Bits) -> Bool:
-        """[T] whether one of its parts, but for the lower ones, which land, comes into what a mask has."""
-        middle = self.centers[:, 2].mean()
-        ways = self.centers[self.centers[:, 2] >= middle] + self.drops[:, None]
-        held = _held(grid, mask, ways)
-        since_now = np.logical_and.accumulate(held)
-        return np.asarray((held & ~since_now).any(axis=1))  # what it flies through now it does not run into
+        """[T] whether it comes into what a mask has: with all of it while it comes down, and with its upper half while
+        it rises, for then its lower one comes off what it lay on, or over an edge.
+
+        Each part is looked at from half of one above its middle to as far below, voxel by voxel: a table top is one
+        voxel high.
+        """
+        half = PART_SIZE / 2 / grid.voxel_size
+        voxels = np.arange(-np.floor(half), np.ceil(half) + 1)
+        below = np.minimum(grid.voxel_size * voxels[:, None], self.above)
+        points = (self.centers - below[..., None] * _UP).reshape(-1, 3)
+        held = _held(grid, mask, points + self.drops[:, None])
+        enters = held & ~np.concatenate([held[:1], held[:-1]])  # what it flies through now it does not run into
+        is_upper = points[:, 2] >= self.centers[:, 2].mean()
+        comes_down = np.diff(self.drops[:, 2], prepend=0.0) < 0
+        return np.asarray((enters & (is_upper | comes_down[:, None])).any(axis=1))
 
     def nears(self, others: Float64) -> Bool:
         """[T] whether one of other parts that move, at `others` [m, 3] (m) now, may be as near as to touch it."""
