@@ -50,6 +50,7 @@ def test_who_stands_behind_a_mirror_is_held_as_others_measure_them() -> None:
     found = carver.carve(mirrored(seen(1)), 0.0)
 
     assert (found.may_move | found.unknown).holds(BALL).mean() > 0.99
+    assert found.likely_moves.holds(BALL).mean() > 0.8, "no rim, which is widened little"
 
 
 def test_the_camera_is_named_and_no_other() -> None:

@@ -79,6 +79,17 @@ def test_where_no_camera_measures_gaussians_are_what_cameras_do_not_see_past(wit
     assert (space.opaque.error_m > 0) != with_depth
 
 
+@pytest.mark.parametrize(("voxels", "stands"), [(19.0, True), (21.0, False)])
+def test_what_is_much_larger_than_a_voxel_stands_in_none(voxels: float, stands: bool) -> None:
+    """A Gaussian of the far wall's size has its middle anywhere."""
+    small = standing_gaussian(np.array([0.0, 0.0, 0.3]))
+    large = replace(small, scales=np.array([[0.01, voxels * GRID.voxel_size, 0.01]], np.float32))
+    state, carver = replace(state_of(0, None), gaussians=large), Carver(RigTables(GRID))
+    carver.carve(state, 0.0)
+    found = StaticSpace(GRID).update(state, carver)
+    assert np.isin(GRID.indices(large.means.astype(np.float64)), found.indices).all() == stands
+
+
 def test_depth_is_calmed_where_it_differs_by_noise_alone() -> None:
     """What is put down stands where it is measured at once, and not where the ground was."""
     before = state_of(0, None, with_depth=True)
