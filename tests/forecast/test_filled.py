@@ -95,6 +95,17 @@ def test_ground_that_something_measured_has_left_is_believed() -> None:
     assert not (left.may_move | left.unknown).holds(BALL).any()
 
 
+def test_somebody_whose_depth_is_filled_in_is_held_where_something_measured_was_once() -> None:
+    """That the ground is believed holds for as long as what moved there shows, and no longer."""
+    carver, empty = Carver(RigTables(GRID)), state_of(0, None, with_depth=True)
+    there = state_of(1, CENTER, with_depth=True)
+    for state in (empty, there, shown(there.moving_masks, 2), replace(empty, stamp=3)):
+        carver.carve(state, 0.0)
+    found = carver.carve(shown(there.moving_masks, 4), 0.0)
+
+    assert found.may_move.holds(BALL).mean() > 0.98
+
+
 def test_ground_that_something_there_from_the_start_has_bared_is_believed() -> None:
     there = state_of(0, CENTER, with_depth=True)
     silhouettes = there.moving_masks
