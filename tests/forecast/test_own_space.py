@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twin_node.forecast import BaselineForecaster, Forecaster
 from twin_node.forecast.grid import decode_runs
 from twin_node.forecast.kernels import kernels
-from twin_node.forecast.own_space import own_space, within, within_reference
+from twin_node.forecast.own_space import MARGIN, own_space, within, within_reference
 from twin_node.robot import RobotError, forward_kinematics, place_capsules, ur_model
 from twin_node.scene import Grid, JointSample, TwinState
 
@@ -39,6 +39,16 @@ def test_every_voxel_in_the_arm_is_its_own_and_none_far_from_it() -> None:
     assert taken[from_arm < 0].all()
     assert not taken[from_arm > 0.06].any()
     assert np.count_nonzero(taken) > 50
+
+
+def test_every_voxel_that_the_arm_with_its_margin_touches_is_its_own() -> None:
+    """One whose middle lies beside it, too: an arm is stopped by what it meets of itself."""
+    grid = Grid(np.array([-0.8, -0.8, -0.1]), 0.04, (40, 40, 30))
+    points = np.random.default_rng(0).uniform([-0.8, -0.8, -0.1], [0.8, 0.8, 1.1], (20_000, 3))
+    near = points[distances(points) < MARGIN]
+    middles_beside = distances(grid.centers(grid.indices(near))) > MARGIN
+    assert own_space(grid, ARM, JOINTS).holds(grid.indices(near)).all()
+    assert np.count_nonzero(middles_beside) > 10
 
 
 def test_an_arm_outside_the_grid_takes_nothing() -> None:
