@@ -269,7 +269,7 @@ def test_what_is_at_rest_where_no_depth_was_known_is_not_learnt_while_it_moves(s
     for tick, (rgb, depth) in enumerate([*images, (scene.floor, before(unknown, shape, 2.0))]):
         view = View(CAMERA, tick * STEP_NS, rgb, depth)
         mask.update(FrameSet(view.stamp, (view,)), [None])
-    assert np.isin(mask._cameras["cam"].depth.known[shape], (0, 2)).all()
+    assert np.isin(mask._cameras["cam"].mask.depth.known[shape], (0, 2)).all()
 
 
 @pytest.mark.parametrize("path", [(*(5 * (40,)), *range(40, 120, 3)), (*(5 * (WIDTH,)), *range(120, 40, -3))])

@@ -41,7 +41,7 @@ def write_log(path: Path, then: Callable[[Obstacles], Obstacles]) -> Path:
     return path
 
 
-WRONG = [("sizes", np.nan), ("positions", np.inf), ("quats", 0.0)]
+WRONG = [("sizes", np.nan), ("sizes", -0.1), ("positions", np.inf), ("quats", 0.0)]
 
 
 @pytest.mark.parametrize(("name", "value"), WRONG)

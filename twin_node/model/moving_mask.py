@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,10 +43,7 @@ class MovingMask:
 
     def __init__(self) -> None:
         self._narrower = WholeNarrower()
-        self._cameras: dict[str, CameraMask] = {}
-        self._rests: dict[str, LongRest] = {}
-        self._sizes: dict[str, tuple[int, ...]] = {}
-        """Of the images as they came, by camera: one that comes with another is a new camera."""
+        self._cameras: dict[str, _Known] = {}
         self._stamp = 0
         self._bared_at: int | None = None
         self.is_still = True
@@ -69,7 +67,8 @@ class MovingMask:
         views = [self._narrowed(view) for view in frames.views]
         given_robots = zip(views, robot_masks, strict=True)
         robots = [None if robot is None else narrowed_to(view.camera, robot) for view, robot in given_robots]
-        cameras = [self._camera_of(*of) for of in zip(views, frames.views, strict=True)]
+        known = [self._known(*of) for of in zip(views, frames.views, strict=True)]
+        cameras = [one.mask for one in known]
         given = list(zip(cameras, views, robots, strict=True))
         if can_compile(cameras):
             masks = update_compiled(cameras, views, robots)
@@ -78,8 +77,8 @@ class MovingMask:
         self._stamp = frames.stamp
         if sum(camera.bared > BARED_SHARE * camera.mask.size for camera in cameras) >= WITNESSES:
             self._bared_at = frames.stamp
-        rests = [self._rests[view.camera.name] for view in frames.views]
-        moving = tuple(rest.without(mask, *one) for rest, mask, one in zip(rests, masks, given, strict=True))
+        found = zip(known, masks, given, strict=True)
+        moving = tuple(one.rest.without(mask, *seen) for one, mask, seen in found)
         self.is_still = all(np.count_nonzero(mask) <= STILL_SHARE * mask.size for mask in moving)
         whole = zip(moving, frames.views, robot_masks, strict=True)
         return tuple(_widened(mask, view, robot) for mask, view, robot in whole)
@@ -88,12 +87,22 @@ class MovingMask:
         """The view as it is looked at."""
         return self._narrower.down_to(view, WIDTH)
 
-    def _camera_of(self, view: View, whole: View) -> CameraMask:
-        """That of a `view`, which came as the `whole`."""
+    def _known(self, view: View, whole: View) -> _Known:
+        """What is known of the camera of a `view`, which came as the `whole`."""
         name, size = whole.camera.name, whole.rgb.shape[:2]
-        if self._sizes.get(name) != size:
-            self._sizes[name], self._cameras[name], self._rests[name] = size, CameraMask(view), LongRest()
+        if name not in self._cameras or self._cameras[name].size != size:
+            self._cameras[name] = _Known(size, CameraMask(view), LongRest())
         return self._cameras[name]
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a camera."""
+
+    size: tuple[int, ...]
+    """Of its images as they come: one that comes with another is a new camera."""
+    mask: CameraMask
+    rest: LongRest
 
 
 def _widened(mask: Bool, view: View, robot: Bool | None) -> Bool:

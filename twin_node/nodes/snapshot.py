@@ -249,16 +249,18 @@ def _decoded(message: Message) -> DecodedImage:
 
 
 def placed_obstacles(message: Message) -> Obstacles:
-    """What a message says. Raises `MessageError` for obstacles that are nowhere, or of no size or turn."""
+    """What a message says. Raises `MessageError` for obstacles that are nowhere, of sizes below 0 or of no turn."""
     told = convert.obstacles_from_message(message)
     is_ball: Bool = told.shapes == ObstacleShape.SPHERE
     has_turn: Bool = (told.quats != 0).any(axis=1)
     numbers = np.column_stack([told.positions, told.quats, told.sizes])
-    sound = np.isfinite(numbers).all(axis=1) & (has_turn | is_ball)
+    has_size = np.asarray((told.sizes >= 0).all(axis=1))
+    sound = np.isfinite(numbers).all(axis=1) & has_size & (has_turn | is_ball)
     if not sound.all():
         raise MessageError(
-            f"ObstacleArray: expected finite numbers and quaternions that are not 0, found others in {np.sum(~sound)} "
-            f"of {len(sound)} obstacles, the first of id {told.ids[sound.argmin()]}; the sender is at fault"
+            "ObstacleArray: expected finite numbers, sizes of 0 or more and quaternions that are not 0, found others "
+            f"in {np.sum(~sound)} of {len(sound)} obstacles, the first of id {told.ids[sound.argmin()]}; the sender "
+            "is at fault"
         )
     return told if has_turn.all() else replace(told, quats=np.where(has_turn[:, None], told.quats, [1.0, 0, 0, 0]))
 

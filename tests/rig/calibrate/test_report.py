@@ -14,6 +14,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d import Axes3D
 from simulated_boards import a_lens, around
 
 from twin_node.geometry import inverse_pose, looking_at, transform
@@ -94,7 +95,8 @@ def test_the_drawings_of_a_rig_do_not_lie_upon_each_other(
 
 def _box_of(axes: Axes) -> Bbox:
     """All that can be seen of a drawing: its lines, numbers and names."""
-    seen = [part.get_tightbbox() for part in (*axes.lines, *axes.texts, *axes._axis_map.values())]
+    axis = (axes.xaxis, axes.yaxis, *([axes.zaxis] if isinstance(axes, Axes3D) else []))
+    seen = [part.get_tightbbox() for part in (*axes.lines, *axes.texts, axes.title, *axis)]
     return Bbox.union([box for box in seen if box is not None])
 
 
