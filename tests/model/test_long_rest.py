@@ -71,6 +71,15 @@ class Cell:
         return [self.show(change) for _ in range(COMING + STILL)][-1]
 
 
+def test_what_stands_for_long_still_does_after_the_arm_has_hidden_all_of_it() -> None:
+    cell, arm = Cell(), np.zeros((HEIGHT, WIDTH), np.bool_)
+    cell.rested()
+    arm[8:36, 26:54] = True
+    behind = [cell.show(robot=arm) for _ in range(5)]
+    again = [cell.show() for _ in range(5)]
+    assert not any(mask.any() for mask in behind + again)
+
+
 def test_what_was_put_down_is_in_the_mask_until_it_has_stood_for_long() -> None:
     cell = Cell()
     masks = [cell.show() for _ in range(COMING + STILL)]

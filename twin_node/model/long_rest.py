@@ -39,8 +39,8 @@ class LongRest:
         """None while nothing is in the mask."""
         self._looks_again = False
         """Whether the image before was looked at, and the one before that was not."""
-        self._stands = False
-        """Whether something was left out of the last mask."""
+        self._standing: Bool | None = None
+        """[H, W] what was left out of the last mask, and what of it the arm has hidden since; None: nothing."""
 
     def without(self, mask: Bool, camera: CameraMask, view: View, robot: Bool | None) -> Bool:
         """The mask [H, W] of `view` without the things that have come to rest for long.
@@ -48,21 +48,24 @@ class LongRest:
         These are in it again with the first image that shows them otherwise. What is behind the arm is taken to be as
         it was.
         """
+        seen = seen_by(view, robot)
+        hidden = None if self._standing is None else _or_none(self._standing & ~seen)
         if not mask.any():
-            self._shown, self._looks_again, self._stands = None, False, False
+            self._standing, self._looks_again = hidden, False
+            self._shown = None if hidden is None else self._shown
             return mask
         stamp, image = camera.past[-1]
         if self._shown is None:
             self._shown = _Shown(stamp, image, view.depth)
             return mask
         self._shown.skip(unseen_ns(camera.past[-2][0], stamp))
-        if not (self._stands or self._looks_again or stamp - self._shown.looked_at >= LOOK_NS):
+        if self._standing is None and not self._looks_again and stamp - self._shown.looked_at < LOOK_NS:
             return mask
         self._looks_again = not self._looks_again
-        self._shown.look(stamp, image, camera, view.depth, seen_by(view, robot))
+        self._shown.look(stamp, image, camera, view.depth, seen)
         standing = _whole(mask, self._shown, view.camera.K[0, 0])
-        self._stands = bool(standing.any())
-        if not self._stands:
+        self._standing = _or_none(standing if hidden is None else standing | hidden)
+        if not standing.any():
             return mask
         self._shown.renew(standing)
         return mask & ~standing
@@ -137,6 +140,11 @@ def _hands(moved: Bool, depth: Float32, focal_px: float) -> Bool:
     radii = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 3)
     far = np.where(depth > 0, depth, depth.max())
     return np.asarray((radii > NOISE_PX) & (radii * far > HAND_M / 2 * focal_px))
+
+
+def _or_none(mask: Bool) -> Bool | None:
+    """A mask in which there is anything."""
+    return mask if mask.any() else None
 
 
 def _differs(image: Float32, other: Float32, threshold: float) -> Bool:
