@@ -108,6 +108,17 @@ class CameraMask:
         while len(self.past) > 2 and stamp - self.past[1][0] > BASELINE_NS:
             self.past.popleft()
 
+    def take_for_ground(self, where: Bool, view: View) -> None:
+        """What the newest image, of `view`, shows `where` [H, W] is ground from now on, as somebody knows."""
+        image, free = self.past[-1][1], self.known & ~self.mask & ~where
+        gain = _gain(image, self.background, free)
+        self.background[:, where] = (image / gain)[:, where]
+        self.depth.meet(view, where)
+        self.known |= where
+        self.trusted |= where
+        self.confirmed |= where
+        self.mask &= ~where
+
     def _meet(self, image: Float32, view: View, fresh: Bool) -> None:
         """Takes pixels that are seen for the first time as the scene at rest, unless they touch what moves."""
         if not fresh.any():

@@ -129,13 +129,13 @@ def _whole(mask: Bool, shown: _Shown, focal_px: float) -> Bool:
         np.bincount(labels[of], minlength=count) for of in (mask, mask & rests, mask & (shown.depth > 0))
     )
     stands = (resting >= WHOLE * sizes) & (measured >= MEASURED * sizes)
-    stands[labels[_hands(mask & ~rests, shown.depth, focal_px)]] = False
+    stands[labels[hands(mask & ~rests, shown.depth, focal_px)]] = False
     stands[0] = False
     found: Bool = stands[labels]
     return found
 
 
-def _hands(moved: Bool, depth: Float32, focal_px: float) -> Bool:
+def hands(moved: Bool, depth: Float32, focal_px: float) -> Bool:
     """[H, W] the middles of what has `moved` that is as wide as a hand; what is not measured is as far as any."""
     radii = cv2.distanceTransform(moved.astype(np.uint8), cv2.DIST_L2, 3)
     far = np.where(depth > 0, depth, depth.max())

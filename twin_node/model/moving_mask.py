@@ -11,6 +11,8 @@ from twin_node.model.camera_mask import CameraMask
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
+from twin_node.model.set_down import SetDown
+from twin_node.robot import ArmModel
 from twin_node.scene import Bool, FrameSet, View
 from twin_node.scene.narrowing import WholeNarrower, narrowed_to, widened_to
 
@@ -41,7 +43,9 @@ class MovingMask:
     uncovered ground leaves it once it is known to be ground, or has been seen for as long.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, arm: ArmModel | None = None) -> None:
+        """`arm`: the one of the robot masks, with its tool: what that leaves where it rests is no moving thing."""
+        self._set_down = SetDown(arm)
         self._narrower = WholeNarrower()
         self._cameras: dict[str, _Known] = {}
         self._stamp = 0
@@ -69,6 +73,11 @@ class MovingMask:
         robots = [None if robot is None else narrowed_to(view.camera, robot) for view, robot in given_robots]
         known = [self._known(*of) for of in zip(views, frames.views, strict=True)]
         cameras = [one.mask for one in known]
+        self._set_down.heed(frames)
+        left = [
+            self._set_down.left(view, robot, camera.depth.known)
+            for view, robot, camera in zip(views, robots, cameras, strict=True)
+        ]
         given = list(zip(cameras, views, robots, strict=True))
         if can_compile(cameras):
             masks = update_compiled(cameras, views, robots)
@@ -77,6 +86,8 @@ class MovingMask:
         self._stamp = frames.stamp
         if sum(camera.bared > BARED_SHARE * camera.mask.size for camera in cameras) >= WITNESSES:
             self._bared_at = frames.stamp
+        handled = self._set_down.things(views, masks, left)
+        masks = [_without(*of) for of in zip(masks, handled, cameras, views, strict=True)]
         found = zip(known, masks, given, strict=True)
         moving = tuple(one.rest.without(mask, *seen) for one, mask, seen in found)
         self.is_still = all(np.count_nonzero(mask) <= STILL_SHARE * mask.size for mask in moving)
@@ -103,6 +114,14 @@ class _Known:
     """Of its images as they come: one that comes with another is a new camera."""
     mask: CameraMask
     rest: LongRest
+
+
+def _without(mask: Bool, handled: Bool | None, camera: CameraMask, view: View) -> Bool:
+    """A camera's mask [H, W] without what its arm has `handled` [H, W], which is ground from now on."""
+    if handled is None:
+        return mask
+    camera.take_for_ground(handled, view)
+    return mask & ~handled
 
 
 def _widened(mask: Bool, view: View, robot: Bool | None) -> Bool:

@@ -94,7 +94,7 @@ class WindowModel:
         self._arm = arm
         self._seed = seed
         self._device = usable_device(self.parameters.device)
-        self._mask = MovingMask()
+        self._mask = MovingMask(arm)
         self._nodes = Nodes(self.parameters.nodes, self.parameters.window)
         self._gaussians = Gaussians(0, self._device)
         self._begun: _Begun | None = None

@@ -1,0 +1,136 @@
+"""What an arm puts down or picks up moves for nobody; a hand that comes to where the arm has been still does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from twin_node.arm.inverse import reach_down
+from twin_node.cell import CellSource, load_scenario
+from twin_node.cell.motion import Path
+from twin_node.cell.scenario import Body, Part, Scenario, Sensing
+from twin_node.cell.textures import Texture
+from twin_node.cell.ur_arm import ArmInCell
+from twin_node.model import MovingMask
+from twin_node.model.arm_mask import robot_masks
+from twin_node.robot import ArmModel, ur_model
+from twin_node.scene import Bool, Float64
+
+HOLDS_M = 0.07
+"""From the flange to the middle of the part in the gripper."""
+SPOT = np.array([0.45, -0.3, 0.0])
+"""Where on the table the arm lets go or takes hold."""
+ARRIVES_S, LEAVES_S, GONE_S, END_S = 1.0, 1.4, 1.9, 2.4
+COME, STAY, LIFT = 0.4, 0.6, 0.2
+PART = Texture(pattern="patches", color=(222, 130, 40), color2=(120, 60, 20), scale_m=0.02)
+SKIN = Texture(pattern="speckle", color=(205, 150, 120), color2=(165, 105, 80), scale_m=0.04)
+
+
+def with_gripper() -> ArmModel:
+    """A UR5e with a gripper that its capsule holds, the part between its jaws too."""
+    return ur_model("ur5e").carrying(np.array([[[0, 0, 0.02], [0, 0, HOLDS_M]]]), np.array([0.06]))
+
+
+def tool_heights() -> tuple[list[float], list[float]]:
+    """When (s) the flange is how far (m) above where it takes hold: it comes down, rests and goes up."""
+    return [0.0, COME, ARRIVES_S, LEAVES_S, GONE_S, END_S], [0.35, 0.35, 0.0, 0.0, 0.35, 0.35]
+
+
+class ScriptedArm(ArmInCell):
+    """The arm that comes down upon the spot from above, rests there, and goes up again."""
+
+    def positions(self, stamps: np.ndarray) -> Float64:  # type: ignore[type-arg]
+        times, heights = tool_heights()
+        rows, q = [], np.array([0.0, -1.8, 1.9, -1.7, -1.57, 0.0])
+        for stamp in stamps:
+            above = float(np.interp((stamp - self._start) * 1e-9, times, heights))
+            q = reach_down(self.model, SPOT + np.array([0, 0, 0.03 + HOLDS_M + above]), q)
+            rows.append(q)
+        return np.array(rows)
+
+
+def block(name: str, times: list[float], places: list[Float64], size: float = 0.06, texture: Texture = PART) -> Body:
+    """A cube on a path."""
+    path = Path(tuple(times), tuple((float(x), float(y), float(z)) for x, y, z in places), between="linear")
+    return Body(name, (Part("box", (size, size, size), texture=texture),), path)
+
+
+def part(is_brought: bool) -> Body:
+    """The part, in the gripper before it is let go of, or after it was taken hold of."""
+    times, heights = tool_heights()
+    carried = np.less_equal(times, ARRIVES_S) if is_brought else np.greater_equal(times, LEAVES_S)
+    lifted = [height if by_arm else 0.0 for height, by_arm in zip(heights, carried, strict=True)]
+    return block("part", times, [SPOT + np.array([0, 0, 0.03 + above]) for above in lifted])
+
+
+def hand(comes_s: float) -> Body:
+    """A hand and its forearm that come to the spot from the table's edge within half a second."""
+    times, away = [0.0, comes_s, comes_s + 0.5, END_S], [0.6, 0.6, 0.0, 0.0]
+    places = tuple((float(SPOT[0]), float(SPOT[1] - 0.2 - far), 0.05) for far in away)
+    return Body("arm", (Part("box", (0.08, 0.5, 0.08), texture=SKIN),), Path(tuple(times), places, between="linear"))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One set."""
+
+    masks: tuple[Bool, ...]
+    """By view, what is held to move."""
+    things: tuple[Bool, ...]
+    """By view, where the bodies truly are."""
+
+
+def run(*bodies: Body, arm: ArmModel | None) -> Iterator[Shown]:
+    """The masks of two cameras; `arm`: what the mask knows of the arm."""
+    base = load_scenario("cell")
+    scenario: Scenario = replace(
+        base,
+        bodies=bodies,
+        cameras=base.cameras[:2],
+        duration_s=END_S,
+        sensing=replace(Sensing(), width=160, height=120, rate_hz=15.0, jitter_ms=0.0),
+    )
+    source, model = CellSource(scenario), with_gripper()
+    assert scenario.arm is not None
+    source.simulated.world.arm = ScriptedArm(scenario.arm, scenario)
+    world, mask = source.simulated.world, MovingMask(arm)
+    for frames in source:
+        robots = robot_masks(model, frames)
+        seen = [source.simulated.see(camera, view.stamp) for camera, view in enumerate(frames.views)]
+        things = tuple(one.shows(world.moving_owners) for one in seen)
+        yield Shown(mask.update(frames, robots), things)
+
+
+def moved(shown: Shown) -> int:
+    """Pixels of all views that are held to move."""
+    return sum(int(mask.sum()) for mask in shown.masks)
+
+
+@pytest.mark.parametrize("is_brought", [True, False], ids=["put down", "picked up"])
+def test_what_the_arm_handles_does_not_move(is_brought: bool) -> None:
+    held = [moved(shown) for shown in run(part(is_brought), arm=with_gripper())]
+    assert sum(held) == 0
+
+
+@pytest.mark.parametrize("is_brought", [True, False], ids=["put down", "picked up"])
+def test_without_the_arm_it_would(is_brought: bool) -> None:
+    assert any(moved(shown) for shown in run(part(is_brought), arm=None))
+
+
+def test_what_was_put_down_moves_when_somebody_pushes_it() -> None:
+    times = [0.0, COME, ARRIVES_S, GONE_S, END_S]
+    above, aside = [0.35, 0.35, 0.0, 0.0, 0.0], [0, 0, 0, 0, 0.1]
+    places = [SPOT + np.array([0, -far, 0.03 + high]) for high, far in zip(above, aside, strict=True)]
+    *_, last = run(block("part", times, places), arm=with_gripper())
+    shown = [mask & thing for mask, thing in zip(last.masks, last.things, strict=True)]
+    assert sum(one.sum() for one in shown) >= 0.7 * sum(thing.sum() for thing in last.things)
+
+
+@pytest.mark.parametrize("comes_s", [0.8, LEAVES_S, GONE_S - 0.1], ids=["before", "meanwhile", "after"])
+def test_a_hand_at_the_spot_moves_though_the_arm_has_been_there(comes_s: float) -> None:
+    *_, last = run(hand(comes_s), arm=with_gripper())
+    for mask, thing in zip(last.masks, last.things, strict=True):
+        assert (mask & thing).sum() >= 0.85 * thing.sum()

@@ -1,0 +1,217 @@
+"""What an arm leaves where its tool has rested: a part that it has put down, ground from which it has picked one up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin_node.model.capsules import nearest_capsules
+from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
+from twin_node.model.long_rest import hands
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules
+from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, View
+
+STILL_M = 0.003
+"""A tool that moves no farther than this rests, m."""
+RESTS_NS = 100_000_000
+"""For so long it must, to grip something or let it go, ns: a gripper takes four times as long."""
+MARGIN_M, DEPTH_SHARE = 0.015, 0.005
+"""What is measured so far outside a tool may be inside it, m and as a share of the depth: calibration and noise."""
+BLIND_NS = 500_000_000
+"""A pixel that is bared and measures nothing for so long tells nothing of what was left there, ns."""
+SHADED_NS = 1_000_000_000
+"""For so long after a pixel was bared the arm that leaves may shade it, ns: the same depth is then the same thing."""
+LATEST_NS = 20_000_000_000
+"""What is bared so long after the tool has gone may have come since, ns."""
+LEAST = 0.5
+"""Share of a thing's pixels that the arm must have left: the others are its rims."""
+BESET_M = 0.15
+"""What moves so near to where the tool rested may be somebody who hands a part over, or takes it, m."""
+MOST_PLACES = 8
+"""Rests of which something may still be hidden; of more the oldest are forgotten."""
+NEVER = np.iinfo(np.int64).max // 2
+"""Has not been yet, ns."""
+
+
+class SetDown:
+    """Watches one arm's tool: where it rested, and what the cameras see there when it has gone.
+
+    A tool takes up its own space, and so does what it holds: what is measured in that space when the arm bares it was
+    there with the tool, and is nobody who has come since.
+    """
+
+    def __init__(self, arm: ArmModel | None) -> None:
+        """`arm`: with the tool that it carries (`ArmModel.carrying`); None: nothing is known of any."""
+        self._arm = arm
+        self._anchor: Float64 | None = None
+        """[c, 2, 3] m, the axes of the tool's capsules where it stood last."""
+        self._since = 0
+        self._rests = False
+        self._places: list[_Place] = []
+
+    def heed(self, frames: FrameSet) -> None:
+        """Takes in where the tool is at a set's stamp; sets come in rising order. Raises `RobotError` for joints of
+        another arm."""
+        if self._arm is None or frames.joints is None:
+            self._anchor, self._rests = None, False
+            return
+        q = self._arm.ordered_positions(frames.joints.at(frames.stamp))
+        placed = place_capsules(self._arm, forward_kinematics(self._arm, q))
+        own = placed.links == self._arm.joints
+        ends = placed.ends[own]
+        if self._anchor is None or np.abs(ends - self._anchor).max(initial=0) > STILL_M:
+            self._anchor, self._since, self._rests = ends, frames.stamp, False
+        elif not self._rests and len(ends) and frames.stamp - self._since >= RESTS_NS:
+            self._rests = True
+            self._places.append(_Place(self._anchor, placed.radii[own], frames.stamp))
+        recent = self._places[-MOST_PLACES:]
+        self._places = [place for place in recent if place is recent[-1] or place.may_tell(frames.stamp)]
+
+    def left(self, view: View, robot: Bool | None, ground: Float32) -> Bool | None:
+        """[H, W] what a view shows of what the tool has left where it rested; None where there can be nothing.
+
+        `robot`: [H, W] the arm in it, or None; `ground`: [H, W] m, how deep it was known to be before this view, 0
+        where that was not. Called once per view after `heed`.
+        """
+        if robot is None or not self._places:
+            return None
+        gone = self._places[:-1] if self._rests else self._places
+        if self._rests:
+            self._places[-1].hide(view, robot)
+        found = [place.bare(view, robot, ground) for place in gone]
+        return np.logical_or.reduce(found) if found else None
+
+    def things(self, views: Sequence[View], masks: Sequence[Bool], left: Sequence[Bool | None]) -> list[Bool | None]:
+        """Per view [H, W] what of its mask the arm has put down or bared; None: nothing. `left`: as found by `left`.
+
+        While any view shows something as wide as a hand to move near by, all may be that hand's.
+        """
+        found = [_things(*of) for of in zip(views, masks, left, strict=True)]
+        if all(things is None for things in found):
+            return found
+        for view, mask, things in zip(views, masks, found, strict=True):
+            if view.depth is None:
+                continue
+            moving = mask if things is None else mask & ~things
+            at = np.flatnonzero(hands(moving, view.depth, view.camera.K[0, 0]) & (view.depth > 0))
+            points = _points(view.camera, at, view.depth.ravel()[at].astype(np.float64))
+            if any(place.is_near(points) for place in self._places):
+                return [None] * len(found)
+        return found
+
+
+def _things(view: View, mask: Bool, left: Bool | None) -> Bool | None:
+    """[H, W] the connected regions of a view's mask of which the arm has `left` most, and in whose rest no hand fits;
+    None: none."""
+    if left is None or view.depth is None or not (mask & left).any():
+        return None
+    count, labels = cv2.connectedComponents(mask.astype(np.uint8))
+    sizes, of_arm = (np.bincount(labels[of], minlength=count) for of in (mask, mask & left))
+    stands = of_arm >= LEAST * sizes
+    stands[labels[hands(mask & ~left, view.depth, view.camera.K[0, 0])]] = False
+    stands[0] = False
+    return stands[labels] if stands.any() else None
+
+
+def _points(camera: Camera, at: NDArray[np.intp], depth: Float64) -> Float64:
+    """[3, n] m in `base_link` of pixels, counted row by row, at their depth [n] (m)."""
+    rows, columns = np.divmod(at, camera.width)
+    x = (columns + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * depth
+    y = (rows + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * depth
+    points: Float64 = camera.T_base_cam[:3, :3] @ np.stack([x, y, depth]) + camera.T_base_cam[:3, 3:]
+    return points
+
+
+@dataclass
+class _Place:
+    """Where the tool rested."""
+
+    ends: Float64
+    """[c, 2, 3] m, of the axes of its capsules."""
+    radii: Float64
+    """[c] m."""
+    rested_at: int
+    """When it did last, ns."""
+    _hidden: dict[str, _Hidden] = field(default_factory=dict)
+    """By camera."""
+
+    def may_tell(self, stamp: int) -> bool:
+        """Whether any camera may yet see what was left there: of what is bared late nobody knows when it came."""
+        is_late = stamp - self.rested_at > LATEST_NS
+        return not is_late and any(hidden.is_watched for hidden in self._hidden.values())
+
+    def hide(self, view: View, robot: Bool) -> None:
+        """While the tool rests a view shows the arm at `robot` [H, W]."""
+        self._hidden_of(view.camera.name, robot).hide(robot)
+        self.rested_at = view.stamp
+
+    def bare(self, view: View, robot: Bool, ground: Float32) -> Bool:
+        """[H, W] what a view shows in the tool's space of then, or behind ground that was there, where the arm hid it
+        until of late; that is at `robot` now."""
+        return self._hidden_of(view.camera.name, robot).bare(view, robot, partial(self._is_left, view, ground))
+
+    def _hidden_of(self, camera: str, robot: Bool) -> _Hidden:
+        if camera not in self._hidden or self._hidden[camera].arm.shape != robot.shape:
+            self._hidden[camera] = _Hidden(np.zeros_like(robot))
+        return self._hidden[camera]
+
+    def is_near(self, points: Float64) -> bool:
+        """Whether any of the points [3, n] (m) is at the place."""
+        return bool((nearest_capsules(self.ends, self.radii, points).gaps < BESET_M).any())
+
+    def _is_left(self, view: View, ground: Float32, at: NDArray[np.intp]) -> Bool:
+        """[n] which pixels, counted row by row, show what was in the tool, or is bared since the tool has taken it."""
+        assert view.depth is not None
+        depth, known = (of.ravel()[at].astype(np.float64) for of in (view.depth, ground))
+        taken = (known > 0) & (depth > known * (1 + DEPTH_LEVELS) + NEAR_M) & self._holds(view.camera, at, known)
+        return taken | self._holds(view.camera, at, depth)
+
+    def _holds(self, camera: Camera, at: NDArray[np.intp], depth: Float64) -> Bool:
+        """[n] which pixels, counted row by row, show what is in the tool's space of then, by their depth [n] (m)."""
+        inside: Bool = (
+            nearest_capsules(self.ends, self.radii, _points(camera, at, depth)).gaps <= MARGIN_M + DEPTH_SHARE * depth
+        )
+        return inside
+
+
+class _Hidden:
+    """What the arm has hidden from one camera since its tool rested, and what has been seen there since."""
+
+    def __init__(self, arm: Bool) -> None:
+        self.arm = arm
+        """[H, W] where nothing has been measured since."""
+        self._bared_at: NDArray[np.int64] = np.full(arm.shape, NEVER, np.int64)
+        """[H, W] when the arm was first gone, ns."""
+        self._depth: Float32 = np.zeros(arm.shape, np.float32)
+        """[H, W] m of what was left, where that was measured of late; else 0."""
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether anything is still hidden, or has been bared of late."""
+        return bool(self.arm.any() or self._depth.any())
+
+    def hide(self, robot: Bool) -> None:
+        """The arm rests, and hides `robot` [H, W]."""
+        self.arm |= robot
+
+    def bare(self, view: View, robot: Bool, is_left: Callable[[NDArray[np.intp]], Bool]) -> Bool:
+        """[H, W] what was left, of what a view shows beside the arm; `is_left` tells it of pixels."""
+        if view.depth is None or not self.is_watched:
+            return np.zeros_like(robot)
+        seen = ~robot if view.valid is None else view.valid & ~robot
+        bared = self.arm & seen
+        self._bared_at[bared & (self._bared_at == NEVER)] = view.stamp
+        told = bared & (view.depth > 0)
+        at = np.flatnonzero(told)
+        left = at[is_left(at)]
+        self._depth.ravel()[left] = view.depth.ravel()[left]
+        since = view.stamp - self._bared_at
+        self.arm &= ~(told | (bared & (since > BLIND_NS)))
+        apart = np.abs(view.depth - self._depth) > DEPTH_LEVELS * self._depth + NEAR_M
+        self._depth[(since > SHADED_NS) | (seen & (view.depth > 0) & apart)] = 0
+        return seen & (self._depth > 0)
