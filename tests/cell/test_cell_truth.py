@@ -90,6 +90,17 @@ def test_volume_of_a_ball_is_right_and_it_moves_as_thrown() -> None:
     assert np.allclose(before - 2 * now + after, [0, 0, -9.81 * (step_ns * 1e-9) ** 2], atol=1e-6)
 
 
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_ball_falls_as_fast_whatever_its_pace(seed: int) -> None:
+    """Thrown 6 % faster by the first seed, it fell at 11 m/s^2."""
+    scenario = load_scenario("thrown_ball").with_seed(seed)
+    world, step_ns = SimulatedRig(scenario).world, 20_000_000
+    stamps = scenario.start_ns + np.arange(0, 4_000_000_000, step_ns)
+    heights = [world.moving(int(stamp))[0].placed.T_base_shape[2, 3] for stamp in stamps]
+    falls = np.diff(heights, 2) / (step_ns * 1e-9) ** 2
+    assert np.median(falls[falls != 0]) == pytest.approx(-9.81, abs=1e-3)
+
+
 def test_occupancy_is_one_certain_layer_at_its_stamp(rig: SimulatedRig, truth: CellTruth) -> None:
     stamp = rig.scenario.start_ns + 1_000_000_000
     occupancy = truth.occupancy(stamp)

@@ -66,19 +66,22 @@ class Path:
 
         return CubicSpline(self.times_s, self._knots, bc_type="clamped")
 
-    def pose(self, t: float) -> Float64:
-        """Pose [4, 4] in `base_link` at `t` seconds after the start."""
+    def pose(self, t: float, pace: float = 1.0) -> Float64:
+        """Pose [4, 4] in `base_link` at `t` seconds after the start, where so many of these go by in a second.
+
+        At another pace flights are as long as that makes them, and what flies falls as fast as ever.
+        """
         from scipy.spatial.transform import Rotation  # loads slowly, and who only reads a scenario never asks
 
-        values = self._values(t)
+        values = self._values(t, pace)
         return pose(Rotation.from_euler("xyz", values[3:], degrees=True).as_matrix(), values[:3])
 
-    def position(self, t: float) -> Float64:
-        """Position [3] in `base_link` at `t` seconds after the start, m."""
-        place: Float64 = self._values(t)[:3]
+    def position(self, t: float, pace: float = 1.0) -> Float64:
+        """Position [3] in `base_link` at `t` seconds after the start, m; `pace` as for `pose`."""
+        place: Float64 = self._values(t, pace)[:3]
         return place
 
-    def _values(self, t: float) -> Float64:
+    def _values(self, t: float, pace: float) -> Float64:
         times = np.array(self.times_s)
         if self.repeat and t > times[-1] > times[0]:
             t = times[0] + (t - times[0]) % (times[-1] - times[0])
@@ -94,5 +97,5 @@ class Path:
         share = s**3 * (10 - 15 * s + 6 * s**2) if self.between == "minimum_jerk" else s
         values: Float64 = self._knots[i] + share * (self._knots[i + 1] - self._knots[i])
         if self.between == "ballistic":
-            values[2] += GRAVITY / 2 * duration**2 * s * (1 - s)
+            values[2] += GRAVITY / 2 * (duration / pace) ** 2 * s * (1 - s)
         return values

@@ -279,7 +279,7 @@ class Variation:
     time_s: float = 0.0
     """1 sigma of one delay per body or person."""
     pace: float = 0.0
-    """1 sigma of the logarithm of one factor on the speed per body or person."""
+    """1 sigma of the logarithm of one factor on the speed per body or person; what is thrown falls as fast as ever."""
 
     def __post_init__(self) -> None:
         check_ranges(self, CellError, "variation: ", position_m=NOT_NEGATIVE, time_s=NOT_NEGATIVE, pace=Range(0, 3))

@@ -73,7 +73,7 @@ class World:
         owners = iter(self.moving_owners)
         for body in self.scenario.bodies:
             change = next(changes)
-            T = body.path.pose(change.local(t))
+            T = body.path.pose(change.local(t), change.pace)
             T[:3, 3] += change.shift
             solids += body_solids(body, T, next(owners))
         for person, recorded in zip(self.scenario.people, self._recorded, strict=True):
@@ -81,9 +81,9 @@ class World:
             if recorded is not None:
                 solids += recorded.solids(change.local(t), change.shift, owner)
                 continue
-            T = person.shoulder.pose(change.local(t))
+            T = person.shoulder.pose(change.local(t), change.pace)
             T[:3, 3] += change.shift
-            hand = person.hand.position(change.local(t)) + change.shift
+            hand = person.hand.position(change.local(t), change.pace) + change.shift
             solids += person_solids(person, T, hand, owner)
         return tuple(solids)
 
