@@ -88,6 +88,16 @@ def test_touched_voxels_agree_with_dense_samples(shape: Shape, seed: int) -> Non
     assert not touched[nearest > between_samples].any()
 
 
+@pytest.mark.parametrize("shape", [Shape(Form.BOX, (0.5, 0.5, 0.5)), Shape(Form.SPHERE, (0.25,))])
+def test_a_solid_that_ends_at_voxels_faces_touches_those_on_both_sides(shape: Shape) -> None:
+    """Those below and before it were left out, as if it stood half a voxel farther up."""
+    grid = Grid(np.zeros(3), 0.25, (8, 8, 8))
+    touched = np.zeros(grid.dims, bool)
+    touched.reshape(-1)[touched_voxels(Placed(shape, pose(np.eye(3), np.ones(3))), grid)] = True
+    np.testing.assert_array_equal(touched, touched[::-1, ::-1, ::-1])
+    assert touched[2, 3, 3] and touched[5, 3, 3] and not touched[1].any()
+
+
 def test_a_solid_outside_the_grid_touches_nothing() -> None:
     grid = Grid(np.zeros(3), 0.1, (5, 5, 5))
     far = Placed(Shape(Form.SPHERE, (0.2,)), pose(np.eye(3), np.array([5.0, 0, 0])))

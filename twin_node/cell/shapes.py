@@ -136,7 +136,7 @@ def normals(shape: Shape, points: Float32) -> Float32:
 
 def touched_voxels(placed: Placed, grid: Grid) -> NDArray[np.int64]:
     """Flat indices, increasing, of the voxels of `grid` whose closed cube meets the solid."""
-    low = np.floor((placed.corners.min(axis=0) - grid.origin) / grid.voxel_size).astype(np.int64)
+    low = np.ceil((placed.corners.min(axis=0) - grid.origin) / grid.voxel_size).astype(np.int64) - 1
     high = np.floor((placed.corners.max(axis=0) - grid.origin) / grid.voxel_size).astype(np.int64)
     low, high = np.maximum(low, 0), np.minimum(high, np.array(grid.dims) - 1)
     if np.any(low > high):
