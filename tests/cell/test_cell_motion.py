@@ -39,6 +39,13 @@ def test_flight_falls_with_gravity() -> None:
     assert np.allclose(acceleration, [0, 0, -GRAVITY], atol=1e-6)
 
 
+@pytest.mark.parametrize(("between", "moves"), [("ballistic", True), ("linear", False), ("spline", False)])
+def test_what_is_thrown_straight_up_moves(between: str, moves: bool) -> None:
+    """As furniture it would have stood where it was thrown from."""
+    path = Path((0.0, 0.4), (TWO[0], TWO[0]), between=between)
+    assert path.moves == moves == bool(path.position(0.2)[2] > TWO[0][2] + 0.1)
+
+
 def test_a_repeated_path_starts_again() -> None:
     path = Path((0.0, 1.0, 2.0), (*TWO, TWO[0]), repeat=True)
     assert np.allclose(path.position(7.3), path.position(1.3))

@@ -52,8 +52,9 @@ class Path:
 
     @property
     def moves(self) -> bool:
-        """Whether the body ever leaves its first pose."""
-        return len(set(self.positions)) > 1 or len(set(self.rpy_deg)) > 1
+        """Whether the body ever leaves its first pose; what is thrown straight up does."""
+        flies = self.between == "ballistic" and len(self.positions) > 1
+        return flies or len(set(self.positions)) > 1 or len(set(self.rpy_deg)) > 1
 
     @cached_property
     def _knots(self) -> Float64:
