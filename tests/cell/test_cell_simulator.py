@@ -179,6 +179,15 @@ def test_a_frozen_camera_repeats_one_image_under_new_stamps(small: Scenario) -> 
     assert not np.array_equal(frozen[0].rgb, frozen[1].rgb)
 
 
+def test_a_camera_frozen_from_its_last_image_on_shows_that_one(small: Scenario) -> None:
+    """Of a clock that no whole multiple of 256 ns begins, it showed the first of all."""
+    quiet = replace(small.sensing, rate_hz=10.0, jitter_ms=0.0)
+    late = replace(small, start_ns=small.start_ns + 399, duration_s=1.0, sensing=quiet)
+    late = replace(late, cameras=tuple(replace(camera, skew_ms=0.0) for camera in small.cameras))
+    frozen, whole = (list(CellSource(one))[-1].views[1] for one in (faulty(late, "frozen", from_s=0.95), late))
+    assert np.array_equal(frozen.rgb, whole.rgb)
+
+
 def test_unsorted_stamps_step_back(small: Scenario) -> None:
     stamps = [s.views[1].stamp for s in CellSource(faulty(small, "unsorted_stamps"))]
     assert np.diff(stamps).min() < 0

@@ -127,8 +127,8 @@ class SimulatedRig:
         return renderer.render((*self.world.moving(stamp), *self.world.arm_solids(stamp)))
 
     def _first_in(self, fault: Fault, exposure: Exposure) -> Exposure:
-        stamps = self._stamps[:, exposure.camera]
-        tick = int(np.argmax(stamps >= self.scenario.start_ns + fault.from_s * 1e9))
+        seconds = (self._stamps[:, exposure.camera] - self.scenario.start_ns) / 1e9
+        tick = int(np.argmax(seconds >= fault.from_s))
         return self._exposure(exposure.camera, tick)
 
     def _exposure(self, camera: int, tick: int) -> Exposure:
