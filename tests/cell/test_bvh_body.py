@@ -65,6 +65,16 @@ def test_people_in_scenarios_follow_files_beside_them(tmp_path: Path) -> None:
     assert load_scenario(tmp_path / "mine.yaml").people[0].motion is not None
 
 
+def test_people_taken_over_from_another_folder_follow_the_files_there(tmp_path: Path) -> None:
+    """The file was looked for beside the scenario that extends theirs alone."""
+    (tmp_path / "theirs").mkdir()
+    text = resources.find("sim/reach_in.yaml").read_text().replace("extends: cell", "cameras: [{name: one}]")
+    (tmp_path / "theirs" / "reaches.yaml").write_text(text)
+    (tmp_path / "theirs" / "reach.bvh").write_text(ONE_ARM)
+    (tmp_path / "mine.yaml").write_text("extends: theirs/reaches\nduration_s: 1.0\n")
+    assert load_scenario(tmp_path / "mine.yaml").people == load_scenario(tmp_path / "theirs" / "reaches.yaml").people
+
+
 def test_seeds_vary_the_pace() -> None:
     scenario = replace(
         load_scenario("reach_in"), variation=replace(load_scenario("reach_in").variation, time_s=0.0, position_m=0.0)

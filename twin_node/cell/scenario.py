@@ -93,7 +93,7 @@ class BvhMotion:
     """A motion capture file (BVH, y up) that a whole body follows; before and after it the body stands still."""
 
     file: str = ""
-    """Beside the scenario, or a path."""
+    """Beside the scenario file that names it, or a path."""
     position: Triple = (1.3, 0.0, -0.81)
     """Where the hips are at `from_s` (x, y), and the height of the ground (z), m."""
     yaw_deg: float = 0.0

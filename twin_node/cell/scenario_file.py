@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin_node import resources
@@ -23,32 +23,41 @@ def load_scenario(name: str | Path) -> Scenario:
     file does not exist.
     """
     path = _find(name)
-    content = _whole(path)
+    files = _with_bases(path)
+    content = {key: value for file in reversed(files) for key, value in file.content.items()}
+    whose = next((file.path for file in files if "people" in file.content), path)
     try:
-        return _with_files(fill(Scenario, content, str(path)), path.parent)
+        return _with_files(fill(Scenario, content, str(path)), (whose.parent, path.parent))
     except ParameterError as error:
         raise CellError(str(error)) from error
     except CellError as error:
         raise CellError(f"{path}: {error}") from error
 
 
-def _with_files(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario with the files it names found beside it."""
+@dataclass(frozen=True)
+class _File:
+    path: Path
+    content: dict[str, object]
+    """What it sets itself."""
+
+
+def _with_files(scenario: Scenario, folders: tuple[Path, ...]) -> Scenario:
+    """The scenario with the files it names found in the first of these folders that has them."""
     people = tuple(
         person
         if person.motion is None
-        else replace(person, motion=replace(person.motion, file=str(_beside(folder, person.motion.file))))
+        else replace(person, motion=replace(person.motion, file=str(_beside(folders, person.motion.file))))
         for person in scenario.people
     )
     return replace(scenario, people=people)
 
 
-def _beside(folder: Path, name: str) -> Path:
-    """A file beside the scenario, else as given from here; raises `CellError` where there is neither."""
-    for path in (folder / name, Path(name)):
+def _beside(folders: tuple[Path, ...], name: str) -> Path:
+    """A file in one of the folders, else as given from here; raises `CellError` where there is none."""
+    for path in (*(folder / name for folder in folders), Path(name)):
         if _is_file(path):
             return path.resolve()
-    known = ", ".join(sorted(file.name for file in folder.glob("*.bvh"))) or "none"
+    known = ", ".join(sorted(file.name for file in folders[0].glob("*.bvh"))) or "none"
     raise CellError(f"motion: no file '{name}' beside the scenario or here; beside it are: {known}")
 
 
@@ -72,15 +81,16 @@ def _require_finite(value: object, file: Path, key: str = "") -> None:
         raise CellError(f"{file}: {key}: expected a finite number, found {value}; leave out what has no end")
 
 
-def _whole(path: Path, below: tuple[Path, ...] = ()) -> dict[str, object]:
-    """What a file sets, and what those that it extends set besides. `below`: the files that led to it."""
-    content = _read(path)
-    if "extends" not in content:
-        return content
-    base = _base(path, content.pop("extends"))
-    if any(base.samefile(one) for one in (*below, path)):
-        raise CellError(f"{path}: extends '{base.stem}', which extends it in turn; take one of the two out")
-    return {**_whole(base, (*below, path)), **content}
+def _with_bases(path: Path) -> list[_File]:
+    """A file, the one that it extends, the one that this extends, and so on."""
+    files = [_File(path, _read(path))]
+    while "extends" in files[-1].content:
+        last = files[-1]
+        base = _base(last.path, last.content.pop("extends"))
+        if any(base.samefile(file.path) for file in files):
+            raise CellError(f"{last.path}: extends '{base.stem}', which extends it in turn; take one of the two out")
+        files.append(_File(base, _read(base)))
+    return files
 
 
 def _base(path: Path, name: object) -> Path:
