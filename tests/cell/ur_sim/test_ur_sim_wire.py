@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twin_node.cell.ur_sim.controller import Controller, ControllerParameters
 from twin_node.cell.ur_sim.registers import Inputs, Outputs
 from twin_node.cell.ur_sim.rtde_types import INPUTS, OUTPUTS
 from twin_node.cell.ur_sim.rtde_wire import InputRecipe, Kind, OutputRecipe, Package, PackageReader, encode, names_of
@@ -53,6 +54,27 @@ def test_every_output_can_be_sent(names: list[str]) -> None:
     assert recipe.is_complete
     size = sum(struct.calcsize(">" + OUTPUTS[name].code) for name in names)
     assert len(recipe.pack(Outputs(lambda offset: offset))) == 1 + size
+
+
+def test_what_clients_have_written_can_be_read_back() -> None:
+    """A monitor that looks at the heartbeat was told NOT_FOUND, and was not let start."""
+    outputs = Outputs(lambda offset: offset)
+    outputs.inputs.write("input_int_register_20", 41, 1.0)
+    outputs.inputs.write("input_bit_register_64", True, 1.0)
+    recipe = OutputRecipe(["input_int_register_20", "input_bit_register_64", "input_double_register_24"], 125.0)
+    assert recipe.types == ("INT32", "BOOL", "DOUBLE")
+    assert struct.Struct(">Bi?d").unpack(recipe.pack(outputs)) == (1, 41, True, 0.0)
+    machine = Controller(ControllerParameters())
+    assert machine.outputs.inputs is machine.inputs
+
+
+def test_a_monitor_of_all_that_a_controller_tells_is_let_start() -> None:
+    names = ["tool_output_mode", "script_control_line", "time_scale_source", "wrench_calc_from_currents", "io_current"]
+    assert OutputRecipe(names, 125.0).types == ("UINT8", "UINT32", "INT32", "VECTOR6D", "DOUBLE")
+
+
+def test_registers_alone_of_all_inputs_are_read_back() -> None:
+    assert OutputRecipe(["speed_slider_mask"], 125.0).types == ("NOT_FOUND",)
 
 
 def test_a_package_of_five_joints_is_short_by_one_value_per_vector() -> None:

@@ -76,7 +76,7 @@ class Controller:
         self.arm = SimulatedArm(parameters.model, start, PERIOD_S)
         self._periods = 0
         self.inputs = Inputs()
-        self.outputs = Outputs(self.arm.tool_pose)
+        self.outputs = Outputs(self.arm.tool_pose, self.inputs)
         self.watchdogs = Watchdogs()
         self.events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self.robot_mode = RobotMode.RUNNING

@@ -48,26 +48,34 @@ OUTPUTS: dict[str, RtdeType] = {
         "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage "
         "actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1 "
         "standard_analog_output0 standard_analog_output1 tool_analog_input0 tool_analog_input1 tool_output_current "
-        "tool_temperature tcp_force_scalar payload",
+        "tool_temperature tcp_force_scalar payload io_current euromap67_24V_voltage euromap67_24V_current "
+        "joint_position_deviation_ratio collision_detection_ratio target_execution_time actual_robot_energy_consumed "
+        "actual_robot_braking_energy_dissipated",
     ),
     **_named(
         RtdeType.VECTOR6D,
         "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_qdd actual_current "
         "actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force "
         "target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia "
-        "tcp_offset",
+        "tcp_offset wrench_calc_from_currents actual_current_window",
     ),
     **_named(RtdeType.VECTOR3D, "actual_tool_accelerometer elbow_position elbow_velocity payload_cog"),
     **_named(RtdeType.UINT64, "actual_digital_input_bits actual_digital_output_bits"),
     **_named(
         RtdeType.UINT32,
-        "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types tool_mode",
+        "runtime_state robot_status_bits safety_status_bits analog_io_types tool_analog_input_types tool_mode "
+        "euromap67_input_bits euromap67_output_bits script_control_line",
     ),
-    **_named(RtdeType.INT32, "robot_mode safety_mode safety_status tool_output_voltage"),
+    **_named(RtdeType.UINT8, "tool_output_mode tool_digital_output0_mode tool_digital_output1_mode"),
+    **_named(
+        RtdeType.INT32,
+        "robot_mode safety_mode safety_status tool_output_voltage time_scale_source encoder0_raw encoder1_raw",
+    ),
     **_named(RtdeType.VECTOR6INT32, "joint_mode"),
     **_registers("output"),
+    **_registers("input"),
 }
-"""What a client may ask to be sent."""
+"""What a client may ask to be sent, input registers as they were written last among it."""
 
 INPUTS: dict[str, RtdeType] = {
     **_named(RtdeType.UINT32, "speed_slider_mask"),
