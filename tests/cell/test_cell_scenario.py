@@ -129,6 +129,23 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
             {"cameras": [{**CAMERA, "look_at": [0.0, 0.0, 1200.0]}]},
             "camera 'cam': expected position and look_at in met",
         ),
+        (
+            {"cameras": [CAMERA], "bodies": [{**BALL, "path": {"positions": [[780.0, -1300.0, 131.0]]}}]},
+            r"path: expected positions in metres.* found \[780\.0, -1300\.0, 131\.0\]",
+        ),
+        (
+            {"cameras": [CAMERA], "furniture": [{"name": "b", "parts": [{"size": [1150.0, 1700.0, 50.0]}]}]},
+            "part: expected size and position in metres",
+        ),
+        (
+            {"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"position": [0.0, -1001.0, 0.0]}]}]},
+            "part: expected size and position in metres",
+        ),
+        (
+            {"cameras": [CAMERA], "people": [{"motion": {"file": "walk.bvh", "position": [1300.0, 0.0, -810.0]}}]},
+            r"motion 'walk\.bvh': expected position in metres",
+        ),
+        ({"cameras": [CAMERA], "variation": {"position_m": 1e30}}, "variation: position_m"),
         ({"cameras": [{**CAMERA, "skew_ms": 1e12}]}, "skew_ms"),
         (
             {"cameras": [{**CAMERA, "skew_ms": -200.0}], "start_ns": 0},

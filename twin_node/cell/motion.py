@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 GRAVITY = 9.81
 """m/s^2."""
 
+FARTHEST_M = 1000.0
+"""Nothing stands, looks, goes or reaches farther along an axis, m: who gives more means millimetres."""
+
 BETWEEN = ("linear", "minimum_jerk", "ballistic", "spline")
 """Ways to get from one waypoint to the next."""
 
@@ -46,6 +49,11 @@ class Path:
             raise CellError(
                 f"path: {len(times)} times_s need {len(times)} positions and as many rpy_deg or none, "
                 f"found {len(self.positions)} and {len(self.rpy_deg)}"
+            )
+        if not (np.abs(self.positions) <= FARTHEST_M).all():
+            farthest = max(self.positions, key=lambda position: float(np.abs(position).max()))
+            raise CellError(
+                f"path: expected positions in metres, at most {FARTHEST_M:g} from base_link, found {list(farthest)}"
             )
         if self.between not in BETWEEN:
             raise CellError(f"path: between must be one of {', '.join(BETWEEN)}, found '{self.between}'")

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin_node.arm.cycle import CycleParameters
 from twin_node.cell.errors import CellError
-from twin_node.cell.motion import Path
+from twin_node.cell.motion import FARTHEST_M, Path
 from twin_node.cell.shapes import Form, Shape
 from twin_node.cell.textures import Texture
 from twin_node.geometry import pose
@@ -21,9 +21,6 @@ Triple = tuple[float, float, float]
 
 SIZES = {Form.SPHERE: 1, Form.CAPSULE: 2, Form.BOX: 3}
 """Numbers that give a form its size."""
-
-FARTHEST_CAMERA_M = 1000.0
-"""No camera stands, or looks, farther from `base_link` along an axis, m: who gives more means millimetres."""
 
 FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 """Faults a camera can be given."""
@@ -60,6 +57,11 @@ class Part:
         if len(self.size) != forms[self.form] or min(self.size) <= 0:
             raise CellError(
                 f"part: a {self.form} takes {forms[self.form]} positive sizes in metres, found {list(self.size)}"
+            )
+        if not (np.abs([*self.size, *self.position]) <= FARTHEST_M).all():
+            raise CellError(
+                f"part: expected size and position in metres, at most {FARTHEST_M:g}, found {list(self.size)} and "
+                f"{list(self.position)}"
             )
 
     @property
@@ -115,6 +117,11 @@ class BvhMotion:
                 f"motion '{self.file}': expected pace from 0.05 to 20 and 0 <= from_s < to_s, "
                 f"found {self.pace}, {self.from_s} and {self.to_s}"
             )
+        if not (np.abs(self.position) <= FARTHEST_M).all():
+            raise CellError(
+                f"motion '{self.file}': expected position in metres, at most {FARTHEST_M:g} from base_link, found "
+                f"{list(self.position)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -163,9 +170,9 @@ class CameraSpec:
             raise CellError(f"camera '{self.name}': fov_deg must lie between 0 and 180, found {self.fov_deg}")
         ranges = {"skew_ms": Range(-10_000, 10_000), "gain": Range(0, 16, above=True)}
         check_ranges(self, CellError, f"camera '{self.name}': ", **ranges)
-        if not (np.abs([self.position, self.look_at]) <= FARTHEST_CAMERA_M).all():
+        if not (np.abs([self.position, self.look_at]) <= FARTHEST_M).all():
             raise CellError(
-                f"camera '{self.name}': expected position and look_at in metres, at most {FARTHEST_CAMERA_M:g} from "
+                f"camera '{self.name}': expected position and look_at in metres, at most {FARTHEST_M:g} from "
                 f"base_link, found {list(self.position)} and {list(self.look_at)}"
             )
         if self.position == self.look_at:
@@ -282,7 +289,9 @@ class Variation:
     """1 sigma of the logarithm of one factor on the speed per body or person; what is thrown falls as fast as ever."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, CellError, "variation: ", position_m=NOT_NEGATIVE, time_s=NOT_NEGATIVE, pace=Range(0, 3))
+        check_ranges(
+            self, CellError, "variation: ", position_m=Range(0, FARTHEST_M), time_s=NOT_NEGATIVE, pace=Range(0, 3)
+        )
 
 
 @dataclass(frozen=True)
