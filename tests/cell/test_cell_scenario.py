@@ -194,6 +194,24 @@ def test_a_wrong_scenario_gives_one_line_that_says_what_is_wrong(tmp_path: Path,
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (
+            {"name": "b", "parts": [{"form": "sphere", "size": [0.1]}, {"form": "cone"}]},
+            r"bodies[1].parts[1]: part: form",
+        ),
+        ({**BALL, "name": "b", "path": {"between": "bezier"}}, "bodies[1].path: path: between"),
+        ({"name": "b", "parts": [{"size": "big"}]}, "bodies[1].parts[0].size: expected a list"),
+    ],
+)
+def test_what_is_wrong_with_one_of_many_bodies_names_it(tmp_path: Path, body: object, words: str) -> None:
+    """'path: times_s must be rising' was all that was told of a scenario of ten paths."""
+    with pytest.raises(CellError) as caught:
+        load_scenario(written(tmp_path, {"cameras": [CAMERA], "bodies": [BALL, body]}))
+    assert f"scenario.yaml: {words}" in str(caught.value)
+
+
 def test_a_scenario_that_extends_itself_by_another_spelling_of_its_path_is_told(tmp_path: Path) -> None:
     """It was read again and again, until its path was too long for any file."""
     path = written(tmp_path, {"extends": f"../{tmp_path.name}/scenario", "cameras": [CAMERA]})

@@ -48,6 +48,7 @@ class Outer:
     middle: Middle = field(default_factory=lambda: Middle(Inner(gain=5.0), 2))
     cameras: tuple[Named, ...] = ()
     bounded: Bounded = field(default_factory=Bounded)
+    all_bounded: tuple[Bounded, ...] = ()
 
 
 def test_values_replace_defaults_at_any_depth() -> None:
@@ -79,7 +80,9 @@ def test_what_is_left_out_of_a_nested_mapping_keeps_the_default_of_that_place() 
         ({"rate_hz": "30"}, "model: rate_hz: expected a number, found '30'; write 30.0"),
         ({"rate_hz": 10**400}, "model: rate_hz: expected a number, found one beyond 1.8e"),
         ({"horizons": [float("nan")]}, "model: horizons: expected a number, found nan"),
-        ({"cameras": [{"gain": 2.0}]}, "model: cameras: expected 'name', found none"),
+        ({"cameras": [{"gain": 2.0}]}, r"model: cameras\[0\]: expected 'name', found none"),
+        ({"cameras": [{"name": "a"}, {"name": "b", "gain": "x"}]}, r"model: cameras\[1\]\.gain: expected a number"),
+        ({"all_bounded": [{}, {"share": 2}]}, r"^model: all_bounded\[1\]: bounded: share: expected 0 to 1, found 2; "),
         ({"bounded": {"share": 2}}, "^model: bounded: share: expected 0 to 1, found 2; "),
         (3, "model: expected keys and values, found 3"),
         (None, "model: expected keys and values, found nothing"),

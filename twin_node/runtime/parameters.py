@@ -32,7 +32,14 @@ class ParameterError(TwinError):
 
 
 class _RefusedError(Exception):
-    """A dataclass has refused its values; it knows no file."""
+    """A dataclass has refused its values; it knows no file, and not which of a list it is."""
+
+    place = ""
+    """Key after key from the outermost dataclass on, as in `.bodies[1].parts[0]`."""
+
+    def __str__(self) -> str:
+        why = super().__str__()
+        return f"{self.place[1:]}: {why}" if "[" in self.place else why
 
 
 def read_parameters(path: Path) -> dict[str, Mapping[str, Any]]:
@@ -112,7 +119,11 @@ def _fill(kind: type[T], values: Mapping[str, Any], where: str, default: T | Non
             hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(sorted(fields))}"
             raise ParameterError(f"{where}: unknown parameter '{key}'; {hint}")
         nested = _default_of(fields[key], default) if isinstance(value, Mapping) else None
-        filled[key] = _convert(hints[key], value, f"{where}{link}{key}", nested)
+        try:
+            filled[key] = _convert(hints[key], value, f"{where}{link}{key}", nested)
+        except _RefusedError as error:
+            error.place = f".{key}{error.place}"
+            raise
     try:
         return kind(**filled) if default is None else dataclasses.replace(default, **filled)  # type: ignore[type-var]
     except TwinError as error:
@@ -149,7 +160,18 @@ def _tuple(hints: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     inner = hints[:1] * len(value) if hints[-1] is Ellipsis else hints
     if len(inner) != len(value):
         raise ParameterError(f"{where}: expected {len(inner)} values, found {len(value)}")
-    return tuple(_convert(a, v, where) for a, v in zip(inner, value, strict=True))
+    return tuple(_element(a, v, where, i) for i, (a, v) in enumerate(zip(inner, value, strict=True)))
+
+
+def _element(hint: Any, value: Any, where: str, index: int) -> Any:
+    """A value of a list; where such are dataclasses, errors tell which."""
+    if not dataclasses.is_dataclass(hint):
+        return _convert(hint, value, where)
+    try:
+        return _convert(hint, value, f"{where}[{index}]")
+    except _RefusedError as error:
+        error.place = f"[{index}]{error.place}"
+        raise
 
 
 def _member(hint: type[Enum], value: Any, where: str) -> Enum:
