@@ -52,6 +52,18 @@ def test_speeds_are_slowed_by_the_slider_and_stops_are_not() -> None:
     assert not stopped[-1].any()
 
 
+def test_a_stop_brakes_every_joint_at_its_deceleration_and_is_done_when_all_stand() -> None:
+    wanted = np.array([0.4, -0.2, 0, 0, 0, 0.1])
+    motion, target = Hold(deceleration=2.0), Target(np.zeros(6), wanted)
+    dones = []
+    for _ in range(110):
+        target = motion.advance(target, PERIOD_S, scale=1.0)
+        dones.append(motion.is_done)
+        assert motion.is_done == target.is_standing
+    assert dones.index(True) == pytest.approx(0.2 / PERIOD_S, abs=1)  # the fastest joint's; the others stand before
+    np.testing.assert_allclose(target.q, np.sign(wanted) * wanted**2 / (2 * 2.0), atol=0.4 * PERIOD_S)
+
+
 def test_moves_and_cycles_take_as_much_longer_as_the_slider_says() -> None:
     path = default_path(ur_model("ur5e"))
     start = Target(path.at(0), np.zeros(6))
@@ -94,6 +106,36 @@ def test_a_servo_keeps_to_its_acceleration_and_stands_while_its_program_is_pause
     assert machine.play(Servoing())
     run(2.0)
     np.testing.assert_allclose(machine.target.q, start + 1.0, atol=1e-2)
+
+
+def test_a_move_that_is_paused_stands_on_its_way_and_goes_on_along_it() -> None:
+    """Stopped off its path, a program would go on with a jump."""
+    machine = Controller(ControllerParameters())
+    start = machine.target.q
+    way = np.array([0.6, -0.3, 0.2, 0, 0.1, 0])
+
+    class Moving:
+        name = "move"
+
+        def tick(self, controller: Controller) -> None:
+            if machine.motion is not move:
+                machine.motion = move
+
+    move = MoveJ(start, start + way, 1.0, acceleration=2.0)
+    assert machine.play(Moving())
+    speeds = []
+    for period in range(1200):
+        if period == 150:
+            assert machine.pause("test")
+        if period == 400:
+            assert machine.runtime_state is RuntimeState.PAUSED and machine.target.is_standing
+            assert machine.play(Moving())
+        machine.tick()
+        done = (machine.target.q - start)[0] / way[0]
+        np.testing.assert_allclose(machine.target.q, start + done * way, atol=1e-9)
+        speeds.append(machine.target.qd[0])
+    assert (machine.target.q - start)[0] > 0.1 and move.is_done
+    assert np.abs(np.diff(speeds)).max() <= (2.0 + 5.0) * PERIOD_S * 1.05  # the move's own, and that of the slider
 
 
 def test_a_program_that_goes_on_is_given_a_whole_period_of_its_watchdog() -> None:
