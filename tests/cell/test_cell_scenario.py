@@ -98,6 +98,10 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
         ({"cameras": [CAMERA], "workspace": [[0, 0, 0], [1, 0, 1]]}, "workspace"),
         ({"cameras": [CAMERA], "sensing": {"rate_hz": 0.0}}, "rate_hz"),
         ({"cameras": [CAMERA], "sensing": {"jitter_ms": 20.0}}, "jitter_ms"),
+        (
+            {"cameras": [CAMERA], "sensing": {"exposure_ms": 34.0}},
+            r"exposure_ms must be at most the period \(33.33 ms\)",
+        ),
         ({"cameras": [CAMERA], "bodies": [BALL, BALL]}, "found 'ball' as number 2"),
         ({"cameras": [CAMERA], "bodies": [{"name": "ball"}]}, "'ball'.*parts"),
         ({"cameras": [CAMERA], "bodies": [{"name": "b", "parts": [{"form": "cone"}]}]}, "'cone'"),

@@ -249,6 +249,11 @@ class Sensing:
                 f"sensing: jitter_ms must be from 0 to under a sixth of the period ({1000 / self.rate_hz / 6:.2f} ms), "
                 f"so that a camera's images keep their order, found {self.jitter_ms}"
             )
+        if self.exposure_ms > 1000 / self.rate_hz:
+            raise CellError(
+                f"sensing: exposure_ms must be at most the period ({1000 / self.rate_hz:.2f} ms), as a shutter is open "
+                f"for one image at a time, found {self.exposure_ms:g}"
+            )
 
 
 @dataclass(frozen=True)
