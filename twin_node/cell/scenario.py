@@ -217,7 +217,7 @@ class Sensing:
     latency_jitter_ms: float = 0.0
     """1 sigma of what arrives later still (half a normal distribution, cut at 3 sigma)."""
     exposure_ms: float = 0.0
-    """How long the shutter is open: what moves meanwhile is blurred (not in depth). 0: no blur."""
+    """How long the shutter is open, at most the period: what moves meanwhile is blurred (not in depth). 0: no blur."""
     rgb_sigma: float = 2.0
     """1 sigma of the colour noise, levels of 255."""
     depth_sigma_at_1m_mm: float = 2.0
