@@ -18,6 +18,8 @@ from twin_node.scene import Float64, ObstacleKind, Obstacles, ObstacleShape
 
 PARKED = np.array([0.0, 0.0, -1000.0])
 """Where a body waits that no obstacle needs, m: no arm comes near."""
+THINNEST_M = 1e-6
+"""Half extents below this are shown as it, m: MuJoCo loads no geometry without a size."""
 
 PLAYER = '''"""Plays the model beside this file in MuJoCo's viewer at its own pace, over and over."""
 
@@ -77,7 +79,7 @@ class _Cast:
         for kind, shape, size, position, quat in zip(
             obstacles.kinds, obstacles.shapes, obstacles.sizes, obstacles.positions, obstacles.quats, strict=True
         ):
-            body = _Body(int(kind), int(shape), size / 2)
+            body = _Body(int(kind), int(shape), np.maximum(size / 2, THINNEST_M))
             look = bytes([body.kind, body.shape]) + np.round(size, 9).tobytes()
             own = self._of_look[look]
             if taken[look] == len(own):
