@@ -42,3 +42,20 @@ def test_a_flat_obstacle_is_one_that_mujoco_loads(row: int, size: tuple[float, .
     model = mujoco.MjModel.from_xml_path(str(exported("mjcf", flattened, tmp_path / "a.xml")))
     shown = model.geom_size[model.geom(f"obstacle_{row}").id]
     assert np.allclose(shown[: 1 if row else 3], np.array(size[: 1 if row else 3]) / 2, atol=1e-5)
+
+
+def test_obstacles_that_share_an_id_are_all_colliders_of_a_stage(tmp_path: Path) -> None:
+    """As senders leave it that know no ids: each stood in the place of the one before, and was all that was there."""
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    def nameless(said: Obstacles) -> Obstacles:
+        alike = np.full_like(said.shapes, said.shapes[0])
+        return replace(said, ids=np.zeros_like(said.ids), shapes=alike)
+
+    stage = Usd.Stage.Open(str(exported("usd", nameless, tmp_path / "a.usda")))
+    shown = stage.GetPrimAtPath("/World/Obstacles").GetChildren()
+    for frame in range(2):
+        stood = [UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(frame).ExtractTranslation() for prim in shown]
+        assert np.allclose(sorted(map(tuple, stood)), sorted(map(tuple, obstacles_at(frame, START).positions[:3])))
+        assert all(UsdGeom.Imageable(prim).ComputeVisibility(frame) == "inherited" for prim in shown)

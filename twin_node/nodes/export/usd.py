@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,9 @@ def write_stage(moments: Moments, path: Path) -> None:
     """Writes a stage whose time codes are frames at the export's rate.
 
     /World/Gaussians/Static and /Moving are points; /World/Obstacles/<KIND>_<id> are kinematic boxes and spheres with
-    collision, invisible and without collision while they are not in force; /World/Arm are capsules with collision,
-    where the log has the joints; until it first has them they stand as then. Colours are linear. Raises `ExportError`
-    where usd-core is not installed or cannot write.
+    collision, numbered where they share an id, invisible and without collision while they are not in force; /World/Arm
+    are capsules with collision, where the log has the joints; until it first has them they stand as then. Colours are
+    linear. Raises `ExportError` where usd-core is not installed or cannot write.
     """
     try:
         from pxr import Tf
@@ -155,10 +156,13 @@ class _Obstacles:
     def place(self, frame: int, moment: Moment) -> None:
         """Puts those in force at a frame where they are, and hides those that were in force at the one before."""
         here: set[str] = set()
+        alike: Counter[str] = Counter()  # not all senders give each an id of its own
         o = moment.obstacles
         for row in range(len(o.ids)):
             kind, shape = ObstacleKind(int(o.kinds[row])), ObstacleShape(int(o.shapes[row]))
-            name = f"{kind.name}_{o.ids[row]}" + ("_sphere" if shape == ObstacleShape.SPHERE else "")
+            look = f"{kind.name}_{o.ids[row]}" + ("_sphere" if shape == ObstacleShape.SPHERE else "")
+            alike[look] += 1
+            name = look if alike[look] == 1 else f"{look}_{alike[look]}"
             if name not in self._colliders:
                 self._colliders[name] = _Collider(self._stage, f"/World/Obstacles/{name}", kind, shape)
             self._colliders[name].place(frame, o.positions[row], o.quats[row], o.sizes[row] / 2)
