@@ -14,15 +14,19 @@ from twin_node.splat import (
     Aims,
     Bystanders,
     Course,
+    Descended,
     Learners,
     Missed,
+    Pull,
     Shot,
     Sight,
     Tolerance,
     descend,
     draw_still,
     has_kernels,
+    image_loss,
     place,
+    rasterize,
     weigh,
 )
 
@@ -90,17 +94,18 @@ AIMS = {
 }
 
 
-def add_missed(**given: Tensor) -> None:
+def add_missed(**given: Tensor) -> Pull:
     sight = Sight(**{name: given.get(f"sight_{name}", of) for name, of in SIGHT.items()})
     missed = Missed(*(given.get(name, of) for name, of in GAUSSIANS.items()))
     missed.add(sight, Tolerance(0.1, 1.0, 0.05))
+    return missed.pull
 
 
-def descended(**given: Tensor) -> None:
+def descended(**given: Tensor) -> Descended:
     bystanders = Bystanders(**{name: given.get(name, of) for name, of in BYSTANDERS.items()})
     learners = Learners(**{name: given.get(name, of.clone()) for name, of in LEARNERS.items()})
     aims = Aims(**{name: given.get(name, of) for name, of in AIMS.items()}, depth_weight=0.1)
-    descend(learners, bystanders, aims, Course(1, -9.0))
+    return descend(learners, bystanders, aims, Course(1, -9.0))
 
 
 CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
@@ -113,6 +118,43 @@ CALLS: dict[str, tuple[Call, dict[str, Tensor]]] = {
 CASES = [(call, name) for call, (_, given) in CALLS.items() for name in given]
 CONVERTED = {"still": set(SHOT), "weigh": set(SHOT), "place": {"values", "positions", "quats"}}
 """What each call itself makes the kind of number that it takes."""
+
+
+def tensors(found: Any) -> list[Tensor]:
+    """All that a call gives back."""
+    if isinstance(found, Tensor):
+        return [found.detach()]
+    parts = found if isinstance(found, tuple) else vars(found).values()
+    return [tensor for part in parts if not isinstance(part, int) for tensor in tensors(part)]
+
+
+def seen() -> tuple[Any, ...]:
+    """Of the differentiable calls: images, their loss, and its gradient by the means."""
+    means = SHOT["means"].clone().requires_grad_()
+    others = (SHOT[name] for name in ("quats", "scales", "opacities", "rgb"))
+    drawn = rasterize(means, *others, SHOT["viewmat"][None], SHOT["K"][None], WIDTH, HEIGHT)
+    loss = image_loss(drawn[0][0], SIGHT["rgb"])
+    return *drawn, loss, torch.autograd.grad(loss, means)[0]
+
+
+@pytest.mark.parametrize("call", [*CALLS, "rasterize"])
+@pytest.mark.parametrize("default", [torch.float64, "meta"])
+def test_what_torch_makes_by_default_changes_nothing(call: str, default: torch.dtype | str) -> None:
+    """Scripts that count in float64, or elsewhere: images were what lay in memory that nobody had written."""
+    make = CALLS[call][0] if call in CALLS else seen
+    expected = tensors(make())
+    before = torch.get_default_dtype()
+    try:
+        if isinstance(default, torch.dtype):
+            torch.set_default_dtype(default)
+        else:
+            torch.set_default_device(default)
+        found = tensors(make())
+    finally:
+        torch.set_default_dtype(before)
+        torch.set_default_device(None)
+    assert len(found) == len(expected) > 0
+    assert all(torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("call", CALLS)

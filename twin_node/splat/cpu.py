@@ -83,14 +83,14 @@ class _Call:
     def render(self, inputs: _Inputs) -> Rendered:
         """Runs the forward pass; the workspace then holds what `differentiate` needs."""
         scene = self.scene
-        lead = scene.image_shape[:-2]
+        lead, like = scene.image_shape[:-2], inputs.means  # whatever torch makes by default
         rendered = Rendered(
-            renders=torch.empty(*scene.image_shape, scene.channels),
-            alphas=torch.empty(*scene.image_shape, 1),
+            renders=like.new_empty(*scene.image_shape, scene.channels),
+            alphas=like.new_empty(*scene.image_shape, 1),
             meta=RasterMeta(
-                radii=torch.empty(*lead, scene.count, 2, dtype=torch.int32),
-                means2d=torch.empty(*lead, scene.count, 2),
-                depths=torch.empty(*lead, scene.count),
+                radii=like.new_empty(*lead, scene.count, 2, dtype=torch.int32),
+                means2d=like.new_empty(*lead, scene.count, 2),
+                depths=like.new_empty(*lead, scene.count),
             ),
         )
         request = self._request(inputs, _Images(rendered.renders, rendered.alphas), rendered.meta)
@@ -111,7 +111,7 @@ class _Call:
             opacities=torch.zeros_like(inputs.opacities),
             colors=torch.zeros_like(inputs.colors),
             viewmats=torch.zeros_like(inputs.viewmats),
-            Ks=torch.empty(0),
+            Ks=inputs.Ks.new_empty(0),
             backgrounds=None,
             pixel_mask=None,
         )

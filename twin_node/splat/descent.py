@@ -32,39 +32,40 @@ class _Call:
         self.learners = learners
         self.aims = aims
         times, height, width = aims.rgb.shape[:3]
+        empty = aims.rgb.new_empty  # whatever torch makes by default
         self.standing, self.learned = bystanders.means.shape[1], len(learners.rows)
         count = self.standing + self.learned
-        self.means, self.quats = torch.empty(times, count, 3), torch.empty(times, count, 4)
-        self.scales, self.opacities, self.colors = torch.empty(count, 3), torch.empty(count), torch.empty(count, 3)
+        self.means, self.quats = empty(times, count, 3), empty(times, count, 4)
+        self.scales, self.opacities, self.colors = empty(count, 3), empty(count), empty(count, 3)
         self.means[:, : self.standing], self.quats[:, : self.standing] = bystanders.means, bystanders.quats
         self.scales[: self.standing], self.opacities[: self.standing] = bystanders.scales, bystanders.opacities
         self.colors[: self.standing] = bystanders.colors
         self.v_means, self.v_quats = torch.empty_like(self.means), torch.empty_like(self.quats)
         self.v_scales, self.v_opacities = torch.empty_like(self.scales), torch.empty_like(self.opacities)
         self.v_colors = torch.empty_like(self.colors)
-        self.renders, self.alphas = torch.empty(times, height, width, 4), torch.empty(times, height, width)
+        self.renders, self.alphas = empty(times, height, width, 4), empty(times, height, width)
         self.seen, self.v_seen = torch.empty_like(self.renders), torch.empty_like(self.renders)
         self.backdrop = aims.backdrop.contiguous()
-        self.radii = torch.empty(times, count, 2, dtype=torch.int32)
-        self.means2d, self.depths = torch.empty(times, count, 2), torch.empty(times, count)
+        self.radii = empty(times, count, 2, dtype=torch.int32)
+        self.means2d, self.depths = empty(times, count, 2), empty(times, count)
         self.rgb, self.viewmats, self.Ks = aims.rgb.contiguous(), aims.viewmats.contiguous(), aims.Ks.contiguous()
         self.mask = None if aims.pixel_mask is None else aims.pixel_mask.contiguous()
-        self.weights = torch.empty(0) if aims.weights is None else aims.weights.contiguous()
-        self.depth = torch.empty(0) if aims.depth is None else aims.depth.contiguous()
+        self.weights = empty(0) if aims.weights is None else aims.weights.contiguous()
+        self.depth = empty(0) if aims.depth is None else aims.depth.contiguous()
         self.carriage = [
             t.contiguous() for t in (learners.turns, learners.shifts, learners.products, learners.carriers)
         ]
         self.rows, self.ceilings, self.rates = (
             t.contiguous() for t in (learners.rows, learners.ceilings, learners.rates)
         )
-        self.loss = torch.zeros(1, dtype=torch.float64)
-        self.refused = torch.zeros(1, dtype=torch.int64)
-        self.losses = torch.zeros(0, dtype=torch.float64)
+        self.loss = aims.rgb.new_zeros(1, dtype=torch.float64)
+        self.refused = aims.rgb.new_zeros(1, dtype=torch.int64)
+        self.losses = aims.rgb.new_zeros(0, dtype=torch.float64)
 
     def request(self, course: Course) -> native.DescentRequest:
         """The pointers in it are valid for as long as this object and the learners live."""
         learners = self.learners
-        self.losses = torch.zeros(course.steps, dtype=torch.float64)
+        self.losses = self.rgb.new_zeros(course.steps, dtype=torch.float64)
         turns, shifts, products, carriers = self.carriage
         return fill(
             native.DescentRequest,

@@ -139,7 +139,7 @@ class _FusedLoss(torch.autograd.Function):
         given = {"render": render, "target": call.target, "weights": call.weights, "target_depth": call.target_depth}
         inputs = {name: None if t is None else t.contiguous() for name, t in given.items()}
         gradient = torch.zeros_like(render, memory_format=torch.contiguous_format)
-        loss = torch.empty(1, dtype=torch.float64)
+        loss = render.new_empty(1, dtype=torch.float64)
         images, height, width, channels = render.shape
         request = fill(
             native.LossRequest,

@@ -122,9 +122,9 @@ class Missed:
         self._workspace = self._workspace or native.Workspace(library)
         view = sight.contiguous()
         (height, width), channels = view.counted.shape, 4 if view.depth is None else 5
-        renders, alphas = torch.empty(height, width, channels), torch.empty(height, width)
-        count = len(self.pull.means)
-        radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+        empty, count = view.rgb.new_empty, len(self.pull.means)  # whatever torch makes by default
+        renders, alphas = empty(height, width, channels), empty(height, width)
+        radii, means2d, depths = empty(count, 2, dtype=torch.int32), empty(count, 2), empty(count)
         found = {"renders": renders, "alphas": alphas, "radii": radii, "means2d": means2d, "depths": depths}
         pull, pull_alpha = torch.empty_like(renders), torch.empty_like(alphas)
         request = fill(

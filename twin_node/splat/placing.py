@@ -45,14 +45,9 @@ def place(values: Tensor, carriers: Tensor, positions: Tensor, quats: Tensor, ro
     require_layout("positions", positions, (times, nodes, 3), positions.dtype)
     require_layout("quats", quats, (times, nodes, 4), quats.dtype)
     require_layout("rows", rows, (count,), torch.int64)
-    placed = Placed(
-        torch.empty(times, count, 3),
-        torch.empty(times, count, 4),
-        torch.empty(count, 3),
-        torch.empty(count),
-        torch.empty(count, 3),
-    )
     values, carriers = values.float().contiguous(), carriers.contiguous()
+    empty = values.new_empty  # whatever torch makes by default
+    placed = Placed(empty(times, count, 3), empty(times, count, 4), empty(count, 3), empty(count), empty(count, 3))
     positions, quats = positions.double().contiguous(), quats.double().contiguous()
     rows = None if rows is None else rows.contiguous()
     request = fill(

@@ -50,7 +50,7 @@ def draw_still(shot: Shot) -> tuple[Tensor, Tensor]:
     library = native.kernels_for(shot.means.device)
     if library is None:
         return draw_still_reference(shot)
-    rgbd, alpha = torch.empty(shot.height, shot.width, 4), torch.empty(shot.height, shot.width)
+    rgbd, alpha = _empty(shot, shot.height, shot.width, 4), _empty(shot, shot.height, shot.width)
     workspace = native.Workspace(library)
     _do(
         lambda request: library.forward(workspace, request),
@@ -81,7 +81,7 @@ def weigh(shot: Shot) -> Tensor:
     library = native.kernels_for(shot.means.device)
     if library is None:
         return weigh_reference(shot)
-    workspace, weights = native.Workspace(library), torch.empty(len(shot.means))
+    workspace, weights = native.Workspace(library), _empty(shot, len(shot.means))
     _do(lambda request: library.weigh(workspace, request, weights.data_ptr()), shot, Options())
     return weights
 
@@ -90,11 +90,16 @@ def weigh_reference(shot: Shot) -> Tensor:
     """The same by `rasterize`, on any device, as the gradient of a feature that is zero everywhere."""
     if not len(shot.means):
         return shot.means.new_zeros(0)
-    nothing = torch.zeros(len(shot.means), 1, device=shot.means.device, requires_grad=True)
+    nothing = shot.means.new_zeros(len(shot.means), 1, requires_grad=True)
     given = {**vars(shot), "rgb": nothing, "viewmat": shot.viewmat[None], "K": shot.K[None]}
     shown, _, _ = rasterize(*given.values())
     (weights,) = torch.autograd.grad(shown.sum(), nothing)
     return weights[:, 0]
+
+
+def _empty(shot: Shot, *shape: int) -> Tensor:
+    """Room for what the library writes, whatever torch makes by default."""
+    return shot.means.new_empty(shape, dtype=torch.float32)
 
 
 def _do(work: Callable[[native.Request], None], shot: Shot, options: Options, **fields: Field) -> None:
@@ -105,7 +110,8 @@ def _do(work: Callable[[native.Request], None], shot: Shot, options: Options, **
     shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (4, 4), (3, 3))
     for name, of, shape in zip(tensors, given, shapes, strict=True):
         require_layout(name, of, shape, torch.float32)
-    radii, means2d, depths = torch.empty(count, 2, dtype=torch.int32), torch.empty(count, 2), torch.empty(count)
+    radii = shot.means.new_empty(count, 2, dtype=torch.int32)
+    means2d, depths = _empty(shot, count, 2), _empty(shot, count)
     request = new_request(
         options,
         batches=1,
