@@ -18,8 +18,11 @@ from twin_node.scene import Float64, Obstacles, ObstacleShape
 
 _ARENA_BYTES_PER_OBSTACLE = 64 << 10
 """Memory for MuJoCo's broad phase and contacts: the default arena overflows at 2000 spheres, this never came near."""
-_FAR_M = 1e3
-"""Distances are measured up to here, m."""
+_FAR_M = 1e7
+"""Distances are measured up to here, m: farther than obstacles may be."""
+_THIN_M = 1e-6
+"""Half of the least extent of an obstacle in the scene, m: one of 0 is endless to MuJoCo, and points of smaller
+ones come out as zeros."""
 _COLOUR, _OPACITY = (0.9, 0.4, 0.1), 0.4
 """Of obstacles (sRGB, 0 to 1)."""
 
@@ -77,7 +80,7 @@ class CollisionScene:
         slots = np.empty(len(spheres), np.int64)
         slots[spheres] = np.arange(spheres.sum())
         slots[~spheres] = self.capacity + np.arange((~spheres).sum())
-        half = obstacles.sizes / 2
+        half = np.maximum(obstacles.sizes / 2, _THIN_M)
         self.data.mocap_pos[slots] = obstacles.positions
         self.data.mocap_quat[slots] = obstacles.quats
         self._obstacle_geoms = self._pool[slots]
