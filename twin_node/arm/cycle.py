@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.arm.inverse import reach_down
 from twin_node.arm.path import SampledPath, ahead_offsets, sample_path
+from twin_node.ranges import NOT_NEGATIVE, POSITIVE, check_ranges
 from twin_node.robot import ArmModel
 from twin_node.scene import Float64, JointPath
 
@@ -47,6 +48,16 @@ class CyclicPath:
     template: JointPath
     """One period; stamps start at 0."""
 
+    def __post_init__(self) -> None:
+        """Raises `ArmError` for a template whose stamps (ns) do not rise from 0 on."""
+        stamps = self.template.stamps
+        if len(stamps) < 2 or stamps[0] != 0 or stamps[-1] <= 0:
+            told = f"{stamps[:1].tolist()} to {stamps[-1:].tolist()}"
+            raise ArmError(
+                f"cycle: expected a template of one period whose stamps rise from 0 ns on, found stamps {told}; "
+                "subtract the first stamp, and give two poses at least"
+            )
+
     @cached_property
     def period_ns(self) -> int:
         """Length of one period, ns."""
@@ -75,10 +86,12 @@ def default_path(
     Pick and place lie at a quarter and three quarters of the workspace's width as the arm sees it, near its floor,
     drawn into the arm's comfortable reach. Every move is a quintic in joint space, all joints in step, so that
     velocities and accelerations are continuous and within the limits of parameters and model. Where the arm cannot lift
-    there, both are drawn in. Raises `ArmError` for a workspace that is no box, and for an arm that cannot put its tool
-    down anywhere before it.
+    there, both are drawn in. Raises `ArmError` for a workspace that is no box, for parameters by which nothing moves,
+    and for an arm that cannot put its tool down anywhere before it.
     """
     chosen = parameters or CycleParameters()
+    check_ranges(chosen, ArmError, "cycle: ", speed=POSITIVE, acceleration=POSITIVE, dwell_s=NOT_NEGATIVE)
+    check_ranges(chosen, ArmError, "cycle: ", lift_m=NOT_NEGATIVE, tool_length_m=NOT_NEGATIVE)
     points = _pick_and_place(model, _NOMINAL_WORKSPACE if workspace is None else np.asarray(workspace))
     stops = _first_reached(model, [share * points for share in _DRAWN_IN], chosen)
     return CyclicPath(_through(model, stops, chosen))
@@ -114,7 +127,8 @@ def _stops(model: ArmModel, pick: Float64, place: Float64, parameters: CyclePara
 
 def _pick_and_place(model: ArmModel, workspace: Float64) -> Float64:
     """Pick and place points [2, 3] inside a workspace, drawn into 35 to 75 % of the arm's reach."""
-    if workspace.shape != (2, 3) or not np.all(workspace[1] > workspace[0]):
+    is_box = workspace.shape == (2, 3) and np.isfinite(workspace).all() and np.all(workspace[1] > workspace[0])
+    if not is_box:
         raise ArmError(f"workspace: expected a lower and an upper corner, found {workspace.tolist()}; check the rig")
     reach = float(np.linalg.norm(model.origins[1:, :3, 3], axis=1).sum())
     low, high = 0.35 * reach, 0.75 * reach
