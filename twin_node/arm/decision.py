@@ -11,7 +11,7 @@ from twin_node.arm.checker import Approaches, ArmCollisionChecker, Clearance, Sw
 from twin_node.arm.course import ArmMotion, Underway
 from twin_node.arm.errors import ArmError
 from twin_node.arm.limiter import standing
-from twin_node.arm.path import STEP_NS, go_on, told_finely
+from twin_node.arm.path import STEP_NS, check_stamps, go_on, told_finely
 from twin_node.arm.separation import Encounter, Hazards, SeparationParameters, hazards
 from twin_node.arm.stopping import StoppingTable, stopping_table
 from twin_node.robot import ArmModel
@@ -87,6 +87,7 @@ def _refuse_wrong(path: JointPath, stamp: int, reaction_s: float) -> None:
             f"joint path: expected positions of shape ({len(path.stamps)}, {len(path.names)}), one angle per stamp and "
             f"joint, found {np.shape(path.positions)}; check the trajectory"
         )
+    check_stamps("joint path", path.stamps)
     if len(path.stamps) > 1 and np.diff(path.stamps).min() <= 0:
         raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
     if path.stamps[0] != stamp:

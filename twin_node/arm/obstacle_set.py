@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.errors import ArmError
+from twin_node.arm.path import check_stamps
 from twin_node.geometry import rotation_from_quat
 from twin_node.scene import HORIZONS_NS, Bool, Float64, ObstacleKind, Obstacles, ObstacleShape, UInt8, UInt32
 
@@ -247,6 +248,8 @@ def _shape(values: NDArray[np.generic]) -> str:
 
 def _refuse_untimed(obstacles: Obstacles) -> None:
     """What is valid at no time, or has no times: it would count for nothing, or as seen long ago."""
+    for name, times in (("valid_from", obstacles.valid_from), ("valid_to", obstacles.valid_to)):
+        check_stamps(f"obstacles: {name}", times)
     unset = (obstacles.valid_to == 0) & (obstacles.stamp > 0)
     never = (obstacles.valid_to < obstacles.valid_from) | unset
     if never.any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,8 @@ def ahead_offsets() -> NDArray[np.int64]:
 def sample_path(path: JointPath, stamps: NDArray[np.integer]) -> Float64:
     """Joint positions [T, J] (rad) at times [T] (ns), linear between samples; the arm stands before and after the path.
 
-    Raises `ArmError` for a path without samples, with unsorted stamps, with the wrong shape or with values not finite.
+    Raises `ArmError` for a path without samples, with stamps that are unsorted or no signed integers, with the wrong
+    shape or with values not finite.
     """
     _check(path)
     start = path.stamps[0]
@@ -77,10 +79,20 @@ def _check(path: JointPath) -> None:
             f"joint path: expected positions of shape ({len(path.stamps)}, {len(path.names)}) with at least one row, "
             f"found {path.positions.shape}; check who publishes the trajectory"
         )
+    check_stamps("joint path", path.stamps)
     if len(path.stamps) > 1 and np.diff(path.stamps).min() <= 0:
         raise ArmError("joint path: expected strictly increasing stamps, found one that is not; check the trajectory")
     if not np.isfinite(path.positions).all():
         raise ArmError("joint path: expected finite angles, found NaN or infinity; check the trajectory")
+
+
+def check_stamps(what: str, stamps: NDArray[Any]) -> None:
+    """Raises `ArmError` for stamps [T] that are no signed integers (ns): differences of unsigned ones wrap around."""
+    if stamps.dtype.kind != "i":
+        raise ArmError(
+            f"{what}: expected stamps in whole nanoseconds, signed (int64), found {stamps.dtype}; convert them, and of "
+            "seconds give np.rint(1e9 * seconds).astype(np.int64)"
+        )
 
 
 def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
