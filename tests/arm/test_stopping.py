@@ -85,6 +85,15 @@ def test_wrong_tables_are_refused() -> None:
         StoppingTable(np.array([1.0]), np.ones(1), np.ones(1))
 
 
+@pytest.mark.parametrize("speeds", [[183.0], [30.0], [1.0, 60.0]])
+def test_a_table_in_degrees_is_refused(speeds: list[float]) -> None:
+    """At the arm's 3 rad/s it would be read at its foot: as a stop in a hundredth of the way."""
+    times = np.full((len(speeds), 6), 0.5)
+    with pytest.raises(ArmError, match=f"expected speeds in rad/s, at most 15, found {speeds[-1]:g}; divide degrees"):
+        StoppingTable(np.array(speeds), times, times)
+    StoppingTable(np.deg2rad(speeds), times, times)
+
+
 @pytest.mark.parametrize("joints", [1, 4, 7])
 def test_an_arm_without_six_joints_stops_as_late_as_the_slowest_one(joints: int) -> None:
     table, known = stopping_table("another", joints), stopping_table("another")

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from twin_node.arm.errors import ArmError
 from twin_node.scene import Float64
 
+FASTEST_RAD_S = 15.0
+"""No joint of an arm is faster: who gives more means degrees."""
+
 
 @dataclass(frozen=True)
 class Stop:
@@ -30,20 +33,25 @@ class StoppingTable:
     """
 
     speeds: Float64
-    """[R] rad/s, rising, above zero."""
+    """[R] rad/s, rising, above zero, at most `FASTEST_RAD_S`."""
     times: Float64
     """[R, J] s."""
     angles: Float64
     """[R, J] rad gone until standstill."""
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for a table whose rows do not rise or fit each other, or with impossible values."""
+        """Raises `ArmError` for rows that do not rise or fit each other, for degrees, and for impossible values."""
         rows = len(self.speeds)
         shapes_fit = self.times.ndim == 2 and self.times.shape == self.angles.shape and len(self.times) == rows
         if rows == 0 or not shapes_fit or not np.diff(self.speeds, prepend=0.0).min() > 0:
             raise ArmError(
                 f"stopping table: expected rising speeds [R] and times and angles [R, J], found "
                 f"{self.speeds.tolist()}, {self.times.shape} and {self.angles.shape}; correct the table"
+            )
+        if not self.speeds[-1] <= FASTEST_RAD_S:
+            raise ArmError(
+                f"stopping table: expected speeds in rad/s, at most {FASTEST_RAD_S:g}, found {self.speeds[-1]:g}; "
+                "divide degrees by 57.3, angles too"
             )
         values = np.concatenate([self.times, self.angles])
         if not (np.isfinite(values).all() and (values >= 0).all()):
