@@ -114,6 +114,13 @@ def test_what_was_done_to_an_arm_that_nobody_saw_for_long_is_not_taken_for_nothi
     assert "press play" in report.reason
 
 
+def test_an_arm_that_is_seen_again_is_not_unseen_for_as_long_as_its_halt_lasts() -> None:
+    """Whoever resumes it later would find a stop of the safety system that there never was."""
+    bench = Bench(halt=Halt("connection lost", seen=0))
+    report = bench.run(8000)
+    assert report.halt == Halt("connection lost")
+
+
 @pytest.mark.parametrize("plays", [True, False])
 def test_play_is_pressed_once_after_a_halt_where_that_is_wanted(plays: bool) -> None:
     bench = Bench(plays=plays)
