@@ -18,6 +18,8 @@ STEP_NS = 10_000_000
 """Time between two looked-at poses, ns: at 1 m/s the arm moves 10 mm, far less than its own width."""
 _FINE_NS = 30_000_000
 """Samples of a path no farther apart than this tell enough of it, ns: at 1 m/s the arm moves 30 mm."""
+_PLAY_RAD = 0.02
+"""So far beyond its range a joint at its end may be measured, by noise, give and zeros that differ: a degree."""
 _SAMPLE_LASTS_NS = 1_000_000_000
 """An arm is taken to keep its velocities for so long, ns: twice as long as live joints are believed, for a forecast
 begins later."""
@@ -115,9 +117,9 @@ def path_ahead(model: ArmModel, path: JointPath, stamp: int) -> JointPath:
 def extrapolate(model: ArmModel, q: NDArray[np.floating], qd: NDArray[np.floating], stamp: int) -> JointPath:
     """The next 200 ms from a time on (ns) of an arm at angles [J] (rad) that keeps its velocities [J] (rad/s).
 
-    Both are in the model's order, measured or the controller's targets, and joints stop at the ends of their range. No
-    velocity is too high to be believed: ratings of an arm's file may be made up. Raises `RobotError` for a wrong count
-    or values that are not finite.
+    Both are in the model's order, measured or the controller's targets, and joints stop at the ends of their range,
+    unless they are beyond it already. No velocity is too high to be believed: ratings of an arm's file may be made up.
+    Raises `RobotError` for a wrong count or values that are not finite.
     """
     start = model.check_positions(q)
     offsets = ahead_offsets()
@@ -170,8 +172,10 @@ def go_on(model: ArmModel, path: JointPath, lasting_ns: int, step_ns: int = STEP
 def kept_up(model: ArmModel, start: Float64, velocities: Float64, seconds: Float64) -> Float64:
     """Angles [T, J] (rad) after times [T] of joints that keep their velocities [J] (rad/s), within the arm's ranges.
 
-    A joint that is beyond its range already comes no further.
+    A joint that is beyond its range by no more than play comes no further there. One that is farther beyond has no end
+    there: its driver counts turns otherwise, or the file is wrong.
     """
-    lower, upper = np.minimum(model.lower, start), np.maximum(model.upper, start)
+    upper = np.where(start > model.upper + _PLAY_RAD, np.inf, np.maximum(model.upper, start))
+    lower = np.where(start < model.lower - _PLAY_RAD, -np.inf, np.minimum(model.lower, start))
     kept: Float64 = np.clip(start + velocities * seconds[:, None], lower, upper)
     return kept
