@@ -386,11 +386,11 @@ def test_columns_of_another_shape_are_refused_and_the_old_obstacles_stay(
 
 @pytest.mark.parametrize(
     ("lower", "upper"),
-    [([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]), ([0.0, 0.0, np.nan], [1.0, 1.0, 1.0]), ([0.0, 0.0], [1.0, 1.0])],
+    [([1.0] * 3, [0.0] * 3), ([0.0, 0.0, np.nan], [1.0] * 3), ([0.0] * 2, [1.0] * 2), ([-800.0] * 3, [800.0] * 3)],
 )
 def test_regions_that_are_no_box_are_refused(lower: list[float], upper: list[float]) -> None:
-    """What is unseen and large enough to hold both corners of one upside down counted for nothing."""
-    with pytest.raises(ArmError, match=r"allowed region: expected a lower corner \[3\] below the upper one"):
+    """What is unseen and holds both corners of one upside down counted for nothing, nor did all in millimetres."""
+    with pytest.raises(ArmError, match=r"allowed region: expected a lower corner \[3\] below the upper one in metres"):
         AllowedRegion(np.array(lower), np.array(upper))
 
 

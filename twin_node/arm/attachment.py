@@ -9,6 +9,9 @@ import numpy as np
 from twin_node.arm.errors import ArmError
 from twin_node.scene import Float64
 
+FARTHEST_REGION_M = 10.0
+"""No corner of an allowed region is farther from `base_link` along an axis, m: who gives more means millimetres."""
+
 
 @dataclass(frozen=True)
 class Attachment:
@@ -48,11 +51,12 @@ class AllowedRegion:
     """Names of links and attachments."""
 
     def __post_init__(self) -> None:
-        """Raises `ArmError` for corners that make no box."""
+        """Raises `ArmError` for corners that make no box, or one in millimetres: all that stands would lie in it."""
         corners = (self.lower, self.upper)
-        is_box = all(np.shape(corner) == (3,) and np.isfinite(corner).all() for corner in corners)
+        is_box = all(np.shape(corner) == (3,) and (np.abs(corner) <= FARTHEST_REGION_M).all() for corner in corners)
         if not (is_box and np.less(*corners).all()):
+            lower, upper = (np.asarray(corner).tolist() for corner in corners)
             raise ArmError(
-                "allowed region: expected a lower corner [3] below the upper one in metres, found "
-                f"{np.asarray(self.lower).tolist()} and {np.asarray(self.upper).tolist()}; correct them"
+                "allowed region: expected a lower corner [3] below the upper one in metres, at most "
+                f"{FARTHEST_REGION_M:g} from base_link, found {lower} and {upper}; correct them"
             )

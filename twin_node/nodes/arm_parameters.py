@@ -14,6 +14,7 @@ from twin_node.arm import (
     StoppingTable,
     stopping_table,
 )
+from twin_node.arm.attachment import FARTHEST_REGION_M
 from twin_node.arm.stopping import FASTEST_RAD_S
 from twin_node.arm.ur import LOOKAHEAD_S, LOOKAHEADS_S
 from twin_node.ranges import Range, check_ranges
@@ -21,8 +22,6 @@ from twin_node.robot import ArmModel, arm_model
 
 FARTHEST_TOOL_M = 2.0
 """No part of a tool is farther from `tool0`, m: who gives more means millimetres."""
-FARTHEST_REGION_M = 10.0
-"""No corner of an allowed region is farther from `base_link` along an axis, m: who gives more means millimetres."""
 OF_A_STOP = 10.0
 """A stop's angle is about half its time at the speed before; none is so many times less or more."""
 LONGEST_S = 10.0
