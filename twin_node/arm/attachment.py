@@ -39,8 +39,9 @@ class Attachment:
 class AllowedRegion:
     """A box in which some links may touch what stands still, as a gripper does the table it works on.
 
-    For these links a STATIC obstacle that lies wholly inside is not looked at, nor an UNSEEN one that reaches into the
-    box: who gives it knows that nothing stands in their way there. MOVING and UNKNOWN ones always are.
+    For these links what is inside of STATIC obstacles is not looked at (all or nothing of boxes aslant and of spheres),
+    nor an UNSEEN one that reaches into the box: who gives it knows that nothing stands in their way there. MOVING and
+    UNKNOWN ones always are.
     """
 
     lower: Float64

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.arm.attachment import AllowedRegion, Attachment
+from twin_node.arm.cutting import cut_at
 from twin_node.arm.errors import ArmError
 from twin_node.arm.narrow import axis_distances, box_distances, point_in_box, sphere_distances
 from twin_node.arm.obstacle_set import ObstacleSet
@@ -150,7 +151,8 @@ class ArmCollisionChecker:
         """
         incoming = ObstacleSet.of(obstacles)
         refuse_more(obstacles, self._max_obstacles)
-        self._obstacles, self._placed = incoming, -1
+        pieces = cut_at(obstacles, self._allowed, self._max_obstacles)
+        self._obstacles, self._placed = incoming if pieces is obstacles else ObstacleSet.of(pieces), -1
         self._exempt = self._exemptions()
 
     def scene(self) -> CollisionScene:

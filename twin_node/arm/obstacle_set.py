@@ -20,6 +20,8 @@ SAME_LAYER_NS = 25_000_000
 horizons."""
 _EARLY_NS = HORIZONS_NS[-1]
 """Evidence may come so much later than the time that is asked of, as computers' clocks differ: see `decide`."""
+FLUSH_M = 1e-6
+"""What ends so near to a box's face ends at it, m: sums of places and sizes are rounded."""
 _FARTHEST = 1e6
 """m, m/s and s: no obstacle is farther, larger, faster or later. With numbers beyond it distances become infinite."""
 
@@ -154,7 +156,8 @@ class ObstacleSet:
     def inside(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles that lie wholly inside a box given by its corners [3] (m)."""
         reach = self._reach
-        return np.asarray(((self.centers - reach >= lower) & (self.centers + reach <= upper)).all(axis=1))
+        begins, ends = self.centers - reach + FLUSH_M, self.centers + reach - FLUSH_M
+        return np.asarray(((begins >= lower) & (ends <= upper)).all(axis=1))
 
     def reaching_into(self, lower: Float64, upper: Float64) -> Bool:
         """True [n] for obstacles whose bounding boxes share space with a box given by its corners [3] (m)."""
