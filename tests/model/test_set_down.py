@@ -11,13 +11,17 @@ import pytest
 from twin_node.arm.inverse import reach_down
 from twin_node.cell import CellSource, load_scenario
 from twin_node.cell.motion import Path
-from twin_node.cell.scenario import Body, Part, Scenario, Sensing
+from twin_node.cell.scenario import Body, Part, Sensing
 from twin_node.cell.textures import Texture
 from twin_node.cell.ur_arm import ArmInCell
+from twin_node.forecast import Forecaster, default_grid
+from twin_node.geometry import looking_at
 from twin_node.model import MovingMask
 from twin_node.model.arm_mask import robot_masks
+from twin_node.model.rays import look
+from twin_node.model.set_down import around
 from twin_node.robot import ArmModel, ur_model
-from twin_node.scene import Bool, Float64
+from twin_node.scene import Bool, Camera, Float64, GaussianCloud, NodeStates, TwinState
 
 HOLDS_M = 0.07
 """From the flange to the middle of the part in the gripper."""
@@ -83,25 +87,25 @@ class Shown:
     """By view, where the bodies truly are."""
 
 
-def run(*bodies: Body, arm: ArmModel | None) -> Iterator[Shown]:
-    """The masks of two cameras; `arm`: what the mask knows of the arm."""
+def cell(*bodies: Body) -> CellSource:
+    """What two cameras see of the bodies and of the arm."""
     base = load_scenario("cell")
-    scenario: Scenario = replace(
-        base,
-        bodies=bodies,
-        cameras=base.cameras[:2],
-        duration_s=END_S,
-        sensing=replace(Sensing(), width=160, height=120, rate_hz=15.0, jitter_ms=0.0),
-    )
-    source, model = CellSource(scenario), with_gripper()
+    sensing = replace(Sensing(), width=160, height=120, rate_hz=15.0, jitter_ms=0.0)
+    scenario = replace(base, bodies=bodies, cameras=base.cameras[:2], duration_s=END_S, sensing=sensing)
+    source = CellSource(scenario)
     assert scenario.arm is not None
     source.simulated.world.arm = ScriptedArm(scenario.arm, scenario)
-    world, mask = source.simulated.world, MovingMask(arm)
+    return source
+
+
+def run(*bodies: Body, arm: ArmModel | None) -> Iterator[Shown]:
+    """The masks of both cameras; `arm`: what the mask knows of the arm."""
+    source, mask, model = cell(*bodies), MovingMask(arm), with_gripper()
+    world = source.simulated.world
     for frames in source:
-        robots = robot_masks(model, frames)
         seen = [source.simulated.see(camera, view.stamp) for camera, view in enumerate(frames.views)]
         things = tuple(one.shows(world.moving_owners) for one in seen)
-        yield Shown(mask.update(frames, robots), things)
+        yield Shown(mask.update(frames, robot_masks(model, frames)), things)
 
 
 def moved(shown: Shown) -> int:
@@ -134,3 +138,41 @@ def test_a_hand_at_the_spot_moves_though_the_arm_has_been_there(comes_s: float) 
     *_, last = run(hand(comes_s), arm=with_gripper())
     for mask, thing in zip(last.masks, last.things, strict=True):
         assert (mask & thing).sum() >= 0.85 * thing.sum()
+
+
+@pytest.mark.parametrize("arm", [with_gripper(), None], ids=["known", "unknown"])
+def test_it_is_furniture_as_soon_as_it_is_seen(arm: ArmModel | None) -> None:
+    source, mask, model = cell(part(True)), MovingMask(arm), with_gripper()
+    grid = default_grid(source.rig.workspace, 0.02)
+    forecaster, told, stands = Forecaster(grid, arm=model), 0, 0
+    near = np.linalg.norm(grid.centers(np.arange(grid.size)) - SPOT, axis=1) < 0.1
+    for frames in source:
+        robots = robot_masks(model, frames)
+        masks = mask.update(frames, robots)
+        state = TwinState(frames.stamp, frames, GaussianCloud.none(), NodeStates.none(), masks, robots)
+        forecast = forecaster.update(state, frames.stamp + 33_000_000).occupancy
+        told += int(near[forecast.layers[-1].indices].sum())
+        above = forecast.static.indices[grid.centers(forecast.static.indices)[:, 2] > 0.03]
+        stands = int(near[above].sum())
+    assert (told == 0) == (arm is not None)
+    assert (stands > 4) == (arm is not None)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_in_a_tool_is_shown_in_the_box_about_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends, radii = rng.uniform(-0.3, 0.3, (2, 2, 3)), rng.uniform(0.02, 0.2, 2)
+    (fx, fy), (cx, cy) = rng.uniform(60, 300, 2), rng.uniform(0, 80, 2)
+    where = rng.normal(size=3)
+    where *= rng.uniform(0.7, 2) / np.linalg.norm(where)
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    viewer = Camera("cam", 80, 60, K, looking_at(where, rng.normal(0, 0.2, 3)))
+    rows, columns = around(viewer, ends, radii)
+    box = np.zeros((60, 80), np.bool_)
+    box[rows, columns] = True
+    outwards = rng.normal(size=(20_000, 3))
+    outwards /= np.linalg.norm(outwards, axis=1)[:, None]
+    which, share = rng.integers(0, 2, 20_000), rng.uniform(size=(20_000, 1))
+    inside = ends[which, 0] + share * (ends[which, 1] - ends[which, 0]) + radii[which, None] * outwards
+    seen = look(viewer, inside)
+    assert box[seen.rows[seen.inside], seen.columns[seen.inside]].all()

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin_node.geometry import transform
 from twin_node.model.capsules import nearest_capsules
 from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
 from twin_node.model.long_rest import hands
@@ -36,6 +37,10 @@ MOST_PLACES = 8
 """Rests of which something may still be hidden; of more the oldest are forgotten."""
 NEVER = np.iinfo(np.int64).max // 2
 """Has not been yet, ns."""
+
+
+Pixels = NDArray[np.intp]
+"""[n] rows, or columns, of pixels."""
 
 
 class SetDown:
@@ -83,8 +88,10 @@ class SetDown:
         gone = self._places[:-1] if self._rests else self._places
         if self._rests:
             self._places[-1].hide(view, robot)
-        found = [place.bare(view, robot, ground) for place in gone]
-        return np.logical_or.reduce(found) if found else None
+        found = np.zeros_like(robot)
+        for place in gone:
+            place.bare(view, robot, ground, found)
+        return found if found.any() else None
 
     def things(self, views: Sequence[View], masks: Sequence[Bool], left: Sequence[Bool | None]) -> list[Bool | None]:
         """Per view [H, W] what of its mask the arm has put down or bared; None: nothing. `left`: as found by `left`.
@@ -98,8 +105,8 @@ class SetDown:
             if view.depth is None:
                 continue
             moving = mask if things is None else mask & ~things
-            at = np.flatnonzero(hands(moving, view.depth, view.camera.K[0, 0]) & (view.depth > 0))
-            points = _points(view.camera, at, view.depth.ravel()[at].astype(np.float64))
+            rows, columns = np.nonzero(hands(moving, view.depth, view.camera.K[0, 0]) & (view.depth > 0))
+            points = _points(view.camera, rows, columns, view.depth[rows, columns].astype(np.float64))
             if any(place.is_near(points) for place in self._places):
                 return [None] * len(found)
         return found
@@ -118,13 +125,29 @@ def _things(view: View, mask: Bool, left: Bool | None) -> Bool | None:
     return stands[labels] if stands.any() else None
 
 
-def _points(camera: Camera, at: NDArray[np.intp], depth: Float64) -> Float64:
-    """[3, n] m in `base_link` of pixels, counted row by row, at their depth [n] (m)."""
-    rows, columns = np.divmod(at, camera.width)
+def _points(camera: Camera, rows: Pixels, columns: Pixels, depth: Float64) -> Float64:
+    """[3, n] m in `base_link` of pixels at their depth [n] (m)."""
     x = (columns + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * depth
     y = (rows + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * depth
     points: Float64 = camera.T_base_cam[:3, :3] @ np.stack([x, y, depth]) + camera.T_base_cam[:3, 3:]
     return points
+
+
+def around(camera: Camera, ends: Float64, radii: Float64) -> tuple[slice, slice]:
+    """Rows and columns that may show capsules, axes between `ends` [c, 2, 3] m and `radii` [c] m, grown by the margins;
+    all where one comes close to the camera."""
+    middles = transform(camera.viewmat, ends.reshape(-1, 3))
+    reach = np.repeat(radii, 2) + MARGIN_M + DEPTH_SHARE * middles[:, 2]
+    nearest = middles[:, 2] - reach
+    if len(middles) == 0 or (nearest <= reach).any():
+        return slice(0, camera.height), slice(0, camera.width)
+    uv = middles @ camera.K.T
+    spread = np.diag(camera.K)[:2] * (reach / nearest * np.linalg.norm(middles / middles[:, 2:], axis=1))[:, None]
+    pixels = uv[:, :2] / uv[:, 2:]
+    size = np.array([camera.width, camera.height])
+    begin = np.clip(np.floor((pixels - spread).min(axis=0)), 0, size - 1).astype(int)
+    end = np.clip(np.ceil((pixels + spread).max(axis=0)) + 1, begin + 1, size).astype(int)
+    return slice(int(begin[1]), int(end[1])), slice(int(begin[0]), int(end[0]))
 
 
 @dataclass
@@ -147,71 +170,75 @@ class _Place:
 
     def hide(self, view: View, robot: Bool) -> None:
         """While the tool rests a view shows the arm at `robot` [H, W]."""
-        self._hidden_of(view.camera.name, robot).hide(robot)
-        self.rested_at = view.stamp
+        self.rested_at, name = view.stamp, view.camera.name
+        if name not in self._hidden or self._hidden[name].shape != robot.shape:
+            self._hidden[name] = _Hidden(robot.shape, around(view.camera, self.ends, self.radii))
+        self._hidden[name].hide(robot)
 
-    def bare(self, view: View, robot: Bool, ground: Float32) -> Bool:
-        """[H, W] what a view shows in the tool's space of then, or behind ground that was there, where the arm hid it
-        until of late; that is at `robot` now."""
-        return self._hidden_of(view.camera.name, robot).bare(view, robot, partial(self._is_left, view, ground))
-
-    def _hidden_of(self, camera: str, robot: Bool) -> _Hidden:
-        if camera not in self._hidden or self._hidden[camera].arm.shape != robot.shape:
-            self._hidden[camera] = _Hidden(np.zeros_like(robot))
-        return self._hidden[camera]
+    def bare(self, view: View, robot: Bool, ground: Float32, found: Bool) -> None:
+        """Adds to `found` [H, W] what a view shows in the tool's space of then, or behind ground that was there, where
+        the arm hid it until of late; that is at `robot` now."""
+        hidden = self._hidden.get(view.camera.name)
+        if hidden is not None and hidden.shape == robot.shape and view.depth is not None and hidden.is_watched:
+            seen = ~robot if view.valid is None else view.valid & ~robot
+            hidden.bare(view, seen, partial(self._is_left, view, ground), found)
 
     def is_near(self, points: Float64) -> bool:
         """Whether any of the points [3, n] (m) is at the place."""
         return bool((nearest_capsules(self.ends, self.radii, points).gaps < BESET_M).any())
 
-    def _is_left(self, view: View, ground: Float32, at: NDArray[np.intp]) -> Bool:
-        """[n] which pixels, counted row by row, show what was in the tool, or is bared since the tool has taken it."""
+    def _is_left(self, view: View, ground: Float32, rows: Pixels, columns: Pixels) -> Bool:
+        """[n] which pixels show what was in the tool, or are bared since the tool has taken what was before them."""
         assert view.depth is not None
-        depth, known = (of.ravel()[at].astype(np.float64) for of in (view.depth, ground))
-        taken = (known > 0) & (depth > known * (1 + DEPTH_LEVELS) + NEAR_M) & self._holds(view.camera, at, known)
-        return taken | self._holds(view.camera, at, depth)
+        depth, known = (of[rows, columns].astype(np.float64) for of in (view.depth, ground))
+        taken = (known > 0) & (depth > known * (1 + DEPTH_LEVELS) + NEAR_M)
+        taken &= self._holds(view.camera, rows, columns, known)
+        return taken | self._holds(view.camera, rows, columns, depth)
 
-    def _holds(self, camera: Camera, at: NDArray[np.intp], depth: Float64) -> Bool:
-        """[n] which pixels, counted row by row, show what is in the tool's space of then, by their depth [n] (m)."""
-        inside: Bool = (
-            nearest_capsules(self.ends, self.radii, _points(camera, at, depth)).gaps <= MARGIN_M + DEPTH_SHARE * depth
-        )
+    def _holds(self, camera: Camera, rows: Pixels, columns: Pixels, depth: Float64) -> Bool:
+        """[n] which pixels show what is in the tool's space of then, by their depth [n] (m)."""
+        gaps = nearest_capsules(self.ends, self.radii, _points(camera, rows, columns, depth)).gaps
+        inside: Bool = gaps <= MARGIN_M + DEPTH_SHARE * depth
         return inside
 
 
 class _Hidden:
     """What the arm has hidden from one camera since its tool rested, and what has been seen there since."""
 
-    def __init__(self, arm: Bool) -> None:
-        self.arm = arm
-        """[H, W] where nothing has been measured since."""
-        self._bared_at: NDArray[np.int64] = np.full(arm.shape, NEVER, np.int64)
-        """[H, W] when the arm was first gone, ns."""
-        self._depth: Float32 = np.zeros(arm.shape, np.float32)
-        """[H, W] m of what was left, where that was measured of late; else 0."""
+    def __init__(self, shape: tuple[int, ...], box: tuple[slice, slice]) -> None:
+        self.shape = shape
+        """Of the camera's images."""
+        self._box = box
+        """Rows and columns that may show what is in the tool's space, or what was before it: [h, w] of the image."""
+        self._arm = np.zeros(shape, np.bool_)[box]
+        """[h, w] where the arm has been, and nothing has been measured since."""
+        self._bared_at: NDArray[np.int64] = np.full(self._arm.shape, NEVER, np.int64)
+        """[h, w] when the arm was first gone, ns."""
+        self._depth: Float32 = np.zeros(self._arm.shape, np.float32)
+        """[h, w] m of what was left, where that was measured of late; else 0."""
 
     @property
     def is_watched(self) -> bool:
         """Whether anything is still hidden, or has been bared of late."""
-        return bool(self.arm.any() or self._depth.any())
+        return bool(self._arm.any() or self._depth.any())
 
     def hide(self, robot: Bool) -> None:
         """The arm rests, and hides `robot` [H, W]."""
-        self.arm |= robot
+        self._arm |= robot[self._box]
 
-    def bare(self, view: View, robot: Bool, is_left: Callable[[NDArray[np.intp]], Bool]) -> Bool:
-        """[H, W] what was left, of what a view shows beside the arm; `is_left` tells it of pixels."""
-        if view.depth is None or not self.is_watched:
-            return np.zeros_like(robot)
-        seen = ~robot if view.valid is None else view.valid & ~robot
-        bared = self.arm & seen
+    def bare(self, view: View, seen: Bool, is_left: Callable[[Pixels, Pixels], Bool], found: Bool) -> None:
+        """Adds to `found` [H, W] what was left, of what is `seen` [H, W] in a view; `is_left` tells it of pixels."""
+        assert view.depth is not None
+        seen, depth = seen[self._box], view.depth[self._box]
+        bared = self._arm & seen
         self._bared_at[bared & (self._bared_at == NEVER)] = view.stamp
-        told = bared & (view.depth > 0)
-        at = np.flatnonzero(told)
-        left = at[is_left(at)]
-        self._depth.ravel()[left] = view.depth.ravel()[left]
+        told = bared & (depth > 0)
+        rows, columns = np.nonzero(told)
+        left = is_left(rows + self._box[0].start, columns + self._box[1].start)
+        rows, columns = rows[left], columns[left]
+        self._depth[rows, columns] = depth[rows, columns]
         since = view.stamp - self._bared_at
-        self.arm &= ~(told | (bared & (since > BLIND_NS)))
-        apart = np.abs(view.depth - self._depth) > DEPTH_LEVELS * self._depth + NEAR_M
-        self._depth[(since > SHADED_NS) | (seen & (view.depth > 0) & apart)] = 0
-        return seen & (self._depth > 0)
+        self._arm &= ~(told | (bared & (since > BLIND_NS)))
+        apart = np.abs(depth - self._depth) > DEPTH_LEVELS * self._depth + NEAR_M
+        self._depth[(since > SHADED_NS) | (seen & (depth > 0) & apart)] = 0
+        found[self._box] |= seen & (self._depth > 0)
