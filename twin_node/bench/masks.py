@@ -132,7 +132,7 @@ class ModelMasks:
 
     def __init__(self, arm: ArmModel | None = None) -> None:
         self._arm = arm
-        self._mask, self._exposures = MovingMask(), Exposures()
+        self._mask, self._exposures = MovingMask(arm), Exposures()
         self._has_begun = False
 
     def update(self, frames: FrameSet) -> list[tuple[Bool, Bool]]:

@@ -58,6 +58,11 @@ class CameraMask:
         self.closing = _disk(max(1, round(GAP * min(self.shape))))
         self.colours = Colours()
 
+    @property
+    def ground_depth(self) -> Float32:
+        """[H, W] m, how deep the ground is that has been seen; 0 where none has, or no depth of it."""
+        return np.where(self.known, self.depth.known, np.float32(0))
+
     def update(self, view: View, robot: Bool | None) -> Bool:
         """The mask [H, W] of this view."""
         image = _planes(view.rgb)
