@@ -234,9 +234,10 @@ class _Hidden:
         self._bared_at[bared & (self._bared_at == NEVER)] = view.stamp
         told = bared & (depth > 0)
         rows, columns = np.nonzero(told)
-        left = is_left(rows + self._box[0].start, columns + self._box[1].start)
-        rows, columns = rows[left], columns[left]
-        self._depth[rows, columns] = depth[rows, columns]
+        if len(rows):
+            left = is_left(rows + self._box[0].start, columns + self._box[1].start)
+            rows, columns = rows[left], columns[left]
+            self._depth[rows, columns] = depth[rows, columns]
         since = view.stamp - self._bared_at
         self._arm &= ~(told | (bared & (since > BLIND_NS)))
         apart = np.abs(depth - self._depth) > DEPTH_LEVELS * self._depth + NEAR_M
