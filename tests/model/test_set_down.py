@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from twin_node.arm.inverse import reach_down
 from twin_node.cell import CellSource, load_scenario
@@ -46,7 +47,7 @@ def tool_heights() -> tuple[list[float], list[float]]:
 class ScriptedArm(ArmInCell):
     """The arm that comes down upon the spot from above, rests there, and goes up again."""
 
-    def positions(self, stamps: np.ndarray) -> Float64:  # type: ignore[type-arg]
+    def positions(self, stamps: NDArray[np.int64]) -> Float64:
         times, heights = tool_heights()
         rows, q = [], np.array([0.0, -1.8, 1.9, -1.7, -1.57, 0.0])
         for stamp in stamps:

@@ -75,7 +75,7 @@ class MovingMask:
         cameras = [one.mask for one in known]
         self._set_down.heed(frames)
         left = [
-            self._set_down.left(view, robot, camera.ground_depth)
+            None if robot is None else self._set_down.left(view, robot, camera.ground_depth)
             for view, robot, camera in zip(views, robots, cameras, strict=True)
         ]
         given = list(zip(cameras, views, robots, strict=True))

@@ -30,6 +30,14 @@ def back_project(camera: Camera, depth: NDArray[np.floating]) -> Float64:
     return points
 
 
+def points_at(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], depth: Float64) -> Float64:
+    """Base-frame points [3, n] (m) of the pixels at `rows` and `columns` [n] at their depth [n] (m)."""
+    x = (columns + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * depth
+    y = (rows + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * depth
+    points: Float64 = camera.T_base_cam[:3, :3] @ np.stack([x, y, depth]) + camera.T_base_cam[:3, 3:]
+    return points
+
+
 @dataclass(frozen=True)
 class Seen:
     """Where points fall in one camera's image."""

@@ -14,6 +14,7 @@ from twin_node.geometry import transform
 from twin_node.model.capsules import nearest_capsules
 from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
 from twin_node.model.long_rest import hands
+from twin_node.model.rays import points_at
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
 from twin_node.scene import Bool, Camera, Float32, Float64, FrameSet, View
 
@@ -77,13 +78,13 @@ class SetDown:
         recent = self._places[-MOST_PLACES:]
         self._places = [place for place in recent if place is recent[-1] or place.may_tell(frames.stamp)]
 
-    def left(self, view: View, robot: Bool | None, ground: Float32) -> Bool | None:
+    def left(self, view: View, robot: Bool, ground: Float32) -> Bool | None:
         """[H, W] what a view shows of what the tool has left where it rested; None where there can be nothing.
 
-        `robot`: [H, W] the arm in it, or None; `ground`: [H, W] m, how deep it was known to be before this view, 0
+        `robot`: [H, W] the arm in it; `ground`: [H, W] m, how deep it was known to be before this view, 0
         where that was not. Called once per view after `heed`.
         """
-        if robot is None or not self._places:
+        if not self._places:
             return None
         gone = self._places[:-1] if self._rests else self._places
         if self._rests:
@@ -106,7 +107,7 @@ class SetDown:
                 continue
             moving = mask if things is None else mask & ~things
             rows, columns = np.nonzero(hands(moving, view.depth, view.camera.K[0, 0]) & (view.depth > 0))
-            points = _points(view.camera, rows, columns, view.depth[rows, columns].astype(np.float64))
+            points = points_at(view.camera, rows, columns, view.depth[rows, columns].astype(np.float64))
             if any(place.is_near(points) for place in self._places):
                 return [None] * len(found)
         return found
@@ -123,14 +124,6 @@ def _things(view: View, mask: Bool, left: Bool | None) -> Bool | None:
     stands[labels[hands(mask & ~left, view.depth, view.camera.K[0, 0])]] = False
     stands[0] = False
     return stands[labels] if stands.any() else None
-
-
-def _points(camera: Camera, rows: Pixels, columns: Pixels, depth: Float64) -> Float64:
-    """[3, n] m in `base_link` of pixels at their depth [n] (m)."""
-    x = (columns + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * depth
-    y = (rows + 0.5 - camera.K[1, 2]) / camera.K[1, 1] * depth
-    points: Float64 = camera.T_base_cam[:3, :3] @ np.stack([x, y, depth]) + camera.T_base_cam[:3, 3:]
-    return points
 
 
 def around(camera: Camera, ends: Float64, radii: Float64) -> tuple[slice, slice]:
@@ -197,7 +190,7 @@ class _Place:
 
     def _holds(self, camera: Camera, rows: Pixels, columns: Pixels, depth: Float64) -> Bool:
         """[n] which pixels show what is in the tool's space of then, by their depth [n] (m)."""
-        gaps = nearest_capsules(self.ends, self.radii, _points(camera, rows, columns, depth)).gaps
+        gaps = nearest_capsules(self.ends, self.radii, points_at(camera, rows, columns, depth)).gaps
         inside: Bool = gaps <= MARGIN_M + DEPTH_SHARE * depth
         return inside
 
