@@ -13,9 +13,9 @@ from made_motions import MADE, write_bvh
 from twin_node import resources
 from twin_node.bag.bvh import read_clip
 from twin_node.cell import CellError, load_scenario
+from twin_node.cell.actors import BvhMotion, Person
 from twin_node.cell.bvh_body import RecordedBody
 from twin_node.cell.people import HAND_RADIUS, LEG_RADIUS
-from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.shapes import Form
 from twin_node.cell.world import World
 from twin_node.scene import Float64

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from twin_node.cell import CellError
+from twin_node.cell.actors import Person
 from twin_node.cell.motion import GRAVITY, Path
 from twin_node.cell.people import FOREARM, HAND, UPPER_ARM, bent_arm
-from twin_node.cell.scenario import Person
 from twin_node.geometry import pose
 
 TWO = ((0.0, 0.0, 0.5), (1.0, 0.4, 0.7))

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from twin_node.arm.inverse import reach_down
 from twin_node.cell import CellSource, load_scenario
+from twin_node.cell.actors import Body, Part
 from twin_node.cell.motion import Path
-from twin_node.cell.scenario import Body, Part, Sensing
+from twin_node.cell.scenario import Sensing
 from twin_node.cell.textures import Texture
 from twin_node.cell.ur_arm import ArmInCell
 from twin_node.forecast import Forecaster, default_grid

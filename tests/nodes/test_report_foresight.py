@@ -14,7 +14,8 @@ import pytest
 
 from twin_node.bag import open_log
 from twin_node.cell import Scenario, write_log
-from twin_node.cell.scenario import Body, CameraSpec, Part, Sensing
+from twin_node.cell.actors import Body, Part
+from twin_node.cell.scenario import CameraSpec, Sensing
 from twin_node.forecast import ForecastParameters
 from twin_node.forecast.comparison import Comparison
 from twin_node.forecast.sights import CarvingParameters

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from twin_node.bag.bvh import BvhClip, read_clip
 from twin_node.cell import people
+from twin_node.cell.actors import BvhMotion, Person
 from twin_node.cell.errors import CellError
-from twin_node.cell.scenario import BvhMotion, Person
 from twin_node.cell.solids import Solid, capsule_between
 from twin_node.cell.textures import Texture
 from twin_node.scene import Float64

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin_node.cell.scenario import Person
+from twin_node.cell.actors import Person
 from twin_node.cell.solids import Solid, capsule_between, sphere_at
 from twin_node.geometry import transform
 from twin_node.scene import Float64

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.cell.scenario import Body
+from twin_node.cell.actors import Body
 from twin_node.cell.shapes import Form, Placed, Shape
 from twin_node.cell.textures import Texture
 from twin_node.geometry import pose

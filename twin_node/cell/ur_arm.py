@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from twin_node.arm.cycle import default_path
 from twin_node.arm.path import sample_path
-from twin_node.cell.scenario import ArmSpec, Scenario
+from twin_node.cell.actors import ArmSpec
+from twin_node.cell.scenario import Scenario
 from twin_node.cell.shapes import Placed
 from twin_node.cell.solids import Solid, capsule_between
 from twin_node.robot import forward_kinematics, ur_model

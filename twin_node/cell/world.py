@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin_node.cell.actors import Body, Person
 from twin_node.cell.bvh_body import RecordedBody
 from twin_node.cell.people import person_solids
-from twin_node.cell.scenario import Body, Person, Scenario
+from twin_node.cell.scenario import Scenario
 from twin_node.cell.solids import Solid, body_solids
 from twin_node.cell.ur_arm import ArmInCell
 from twin_node.scene import Float64

@@ -13,7 +13,7 @@ from twin_node.bench.stability.scenes import MIDDLE, SIZE, Course, box, ramped, 
 from twin_node.bench.text_table import figure, text_table
 from twin_node.bench.workers import workers
 from twin_node.cell import CellSource, Scenario
-from twin_node.cell.scenario import Triple
+from twin_node.cell.actors import Triple
 from twin_node.model import ModelParameters, WindowModel
 from twin_node.scene import Float64, Tier
 

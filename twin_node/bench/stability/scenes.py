@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin_node.cell import Scenario, load_scenario
+from twin_node.cell.actors import Body, Part, Triple
 from twin_node.cell.motion import Path
-from twin_node.cell.scenario import Body, Part, Triple
 from twin_node.cell.textures import Texture
 from twin_node.scene import Float64
 
