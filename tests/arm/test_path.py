@@ -48,6 +48,11 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
     assert (q <= model.upper).all()
     assert forward_kinematics(model, q)[:, -1, 2, 3].min() > 0.04
     assert np.ptp(q[:, 0]) < np.pi  # from pick to place the short way
+    assert np.ptp(cycle.rests, axis=1) == pytest.approx(2 * [limits.dwell_s * 1e9])
+    for begin, end in cycle.rests:
+        resting = np.array([cycle.at(int(stamp)) for stamp in np.linspace(begin, end, 5)])
+        np.testing.assert_allclose(resting, np.broadcast_to(resting[0], resting.shape), atol=1e-12)
+        assert not np.allclose(cycle.at(int(begin) - 40_000_000), resting[0], atol=1e-6)
     checker = ArmCollisionChecker(model, max_obstacles=1)
     assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
 

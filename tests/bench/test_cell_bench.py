@@ -19,10 +19,12 @@ from twin_node.bench.cell_scores import score
 from twin_node.bench.cell_twin import Pace, TwinRun, TwinTiming
 from twin_node.bench.errors import BenchError
 from twin_node.bench.rig_speed import measure
+from twin_node.bench.simulated_arm import told_of_arm
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord
 from twin_node.cell.motion import Path
 from twin_node.cell.scenario_file import load_scenario
 from twin_node.cli import main
+from twin_node.nodes.chain_parameters import load_parameters
 from twin_node.robot import forward_kinematics
 
 SHORT = """extends: cell
@@ -277,3 +279,15 @@ def test_the_rigs_speed_is_measured(short: FilePath) -> None:
     assert found.rig_hz_best >= found.rig_hz > 0
     assert found.cpu_ms_per_set > 0
     assert (found.cameras, found.width, found.height, found.target_hz) == (3, 32, 24, 30.0)
+
+
+def test_an_arm_with_a_gripper_works_where_nobody_is() -> None:
+    """Where it takes hold and lets go it may touch the table; elsewhere it keeps clear as any."""
+    pick = load_scenario("pick")
+    case = CellCase(replace(pick, duration_s=5.0), 33.0, LoopParameters())
+    assert case.run_unobstructed().progress_s > 4.5
+    assert pick.arm is not None
+    told = told_of_arm(load_parameters(None), pick).arm
+    assert len(told.arm().capsules) == len(case.arm.model.capsules) == len(case.checker.capsule_names)
+    low = replace(pick, arm=replace(pick.arm, cycle=replace(pick.arm.cycle, lift_m=0.0)), duration_s=5.0)
+    assert CellCase(low, 33.0, LoopParameters()).run_unobstructed().progress_s < 2.0

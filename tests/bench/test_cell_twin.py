@@ -10,7 +10,7 @@ import pytest
 
 from twin_node.arm import ArmCollisionChecker
 from twin_node.bench.cell_case import CellCase
-from twin_node.bench.cell_twin import BySight, Pace, TwinPerception, TwinTiming, run_twin, taught_region
+from twin_node.bench.cell_twin import BySight, Pace, TwinPerception, TwinTiming, run_twin
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.scenario import Scenario
@@ -94,7 +94,7 @@ def test_the_usual_latency_leaves_the_first_set_out() -> None:
 
 def test_the_taught_region_holds_the_whole_cycle(scenario: Scenario) -> None:
     case = CellCase(scenario, 33.0, LoopParameters())
-    region = taught_region(case)
+    region = case.taught_region
     q = case.arm.positions(scenario.start_ns + np.arange(0, case.arm.cycle.period_ns, 50_000_000))
     ends = place_capsules(case.arm.model, forward_kinematics(case.arm.model, q)).ends
     assert (ends >= region.lower).all()

@@ -13,6 +13,7 @@ from twin_node.arm.scene import CollisionScene
 from twin_node.arm.self_collision import SelfClearance
 from twin_node.arm.separation import SeparationParameters, UnknownPolicy
 from twin_node.arm.stopping import StoppingTable, stopping_table
+from twin_node.arm.tool import ToolCapsule, with_tool
 from twin_node.arm.workspace import beyond
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "SeparationParameters",
     "SpeedLimiter",
     "StoppingTable",
+    "ToolCapsule",
     "Underway",
     "UnknownPolicy",
     "beyond",
@@ -43,4 +45,5 @@ __all__ = [
     "sample_path",
     "standing",
     "stopping_table",
+    "with_tool",
 ]

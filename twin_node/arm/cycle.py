@@ -64,6 +64,13 @@ class CyclicPath:
         return int(self.template.stamps[-1])
 
     @cached_property
+    def rests(self) -> NDArray[np.int64]:
+        """[n, 2] when (ns, from the period's start) each of its rests begins and ends, as at the pick and the place."""
+        stands = ~np.diff(self.template.positions, axis=0).any(axis=1)
+        edges = np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8))
+        return np.stack([self.template.stamps[edges == 1], self.template.stamps[edges == -1]], axis=1)
+
+    @cached_property
     def _sampled(self) -> SampledPath:
         return SampledPath(self.template)
 

@@ -7,8 +7,18 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from twin_node.arm import ArmCollisionChecker, SeparationParameters, StoppingTable, decide, stopping_table
+from twin_node.arm import (
+    AllowedRegion,
+    ArmCollisionChecker,
+    SeparationParameters,
+    StoppingTable,
+    decide,
+    default_path,
+    stopping_table,
+    with_tool,
+)
 from twin_node.bench.errors import BenchError
+from twin_node.cell.actors import ArmSpec, Triple
 from twin_node.cell.closed_loop import STEP_NS, LoopParameters, LoopRecord, Perception, run_loop
 from twin_node.cell.oracle import Foresight, Oracle, PerfectPerception, Timing, points_on
 from twin_node.cell.program import RunningProgram, longest_stop_ns
@@ -16,6 +26,8 @@ from twin_node.cell.scenario import Scenario
 from twin_node.cell.shadow import Shadow
 from twin_node.cell.ur_arm import ArmInCell
 from twin_node.cell.world import World
+from twin_node.robot import ArmModel, forward_kinematics, place_capsules, ur_model
+from twin_node.scene import Float64
 
 REACH_M = 1.5
 """Obstacles farther from the arm than this cannot slow it: more than 1.6 m/s and 1.5 m/s until standstill, and C."""
@@ -40,10 +52,26 @@ UNLIMITED = Policy("unlimited", Foresight.UNLIMITED, SeparationParameters().huma
 POLICIES = (PERFECT, WORST_CASE, PRESENT_ONLY, UNLIMITED)
 
 
+_TAUGHT_MARGIN_M = 0.05
+"""A program is taught to keep so far from furniture, m."""
+
+
 @lru_cache
-def _checker(arm: str) -> ArmCollisionChecker:
+def _checker(spec: ArmSpec, workspace: tuple[Triple, Triple]) -> ArmCollisionChecker:
     """One checker per arm and process: its scene takes half a second to build."""
-    return ArmCollisionChecker(arm, max_obstacles=MOST_SPHERES)
+    arm = with_tool(ur_model(spec.model), spec.carried)
+    cycle = default_path(arm, np.array(spec.workspace or workspace), spec.cycle)
+    allowed = [_region(arm, cycle.at(int(amid)), arm.link_names[-1:]) for amid in cycle.rests.mean(axis=1)]
+    return ArmCollisionChecker(arm, max_obstacles=MOST_SPHERES, allowed=allowed if spec.handled else ())
+
+
+def _region(arm: ArmModel, q: Float64, links: tuple[str, ...]) -> AllowedRegion:
+    """The box about all that some links sweep at joint angles [..., J] (rad), grown by `_TAUGHT_MARGIN_M`."""
+    placed = place_capsules(arm, forward_kinematics(arm, q))
+    own = np.isin(placed.links, [arm.link_names.index(name) for name in links])
+    ends, reach = placed.ends[..., own, :, :], placed.radii[own, None, None] + _TAUGHT_MARGIN_M
+    lower, upper = ((ends + sign * reach).reshape(-1, 3) for sign in (-1, 1))
+    return AllowedRegion(lower.min(axis=0), upper.max(axis=0), links)
 
 
 class CellCase:
@@ -59,7 +87,7 @@ class CellCase:
         self.parameters = parameters
         self.arm = ArmInCell(scenario.arm, scenario)
         self.table: StoppingTable = stopping_table(scenario.arm.model)
-        self.checker = _checker(scenario.arm.model)
+        self.checker = _checker(scenario.arm, scenario.workspace)
         reaction_ns = round(parameters.reaction_s * 1e9)
         frame_ns = round(1e9 / scenario.sensing.rate_hz)
         self.timing = Timing(
@@ -68,6 +96,15 @@ class CellCase:
             latency_ns=round(latency_ms * 1e6),
             until_standstill_ns=frame_ns + reaction_ns + longest_stop_ns(self.arm.cycle, self.table),
         )
+
+    @cached_property
+    def taught_region(self) -> AllowedRegion:
+        """The box about all that the arm sweeps in its cycle, grown by `_TAUGHT_MARGIN_M`.
+
+        Its program was taught clear of furniture: what a twin takes to stand there is the arm's own outline, what it
+        handles, or something that the program passes by.
+        """
+        return _region(self.arm.model, self.arm.cycle.template.positions, self.arm.model.link_names)
 
     @cached_property
     def world(self) -> World:

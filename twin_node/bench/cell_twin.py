@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import torch
 
-from twin_node.arm import AllowedRegion, ArmCollisionChecker
+from twin_node.arm import ArmCollisionChecker
 from twin_node.bench.cell_case import CellCase
 from twin_node.bench.errors import BenchError
+from twin_node.bench.simulated_arm import told_of_arm
 from twin_node.cell.closed_loop import LoopRecord
 from twin_node.cell.program import RunningProgram
 from twin_node.cell.simulator import Exposure, SimulatedRig
@@ -26,7 +27,7 @@ from twin_node.nodes.live.rig_source import RigParameters, topics_of
 from twin_node.nodes.model import Following
 from twin_node.nodes.synchronizer import SynchronizerNode
 from twin_node.nodes.topics import FRAMES, JOINT_STATES, OBSTACLES
-from twin_node.robot import UR_NAMES, forward_kinematics, place_capsules
+from twin_node.robot import UR_NAMES
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.scene import Float64, FrameSet, ObstacleKind, Obstacles
@@ -68,12 +69,11 @@ def run_twin(case: CellCase, width: int, pace: Pace | None, by_sight: bool = Fal
     """
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    chain = load_parameters(None)
-    arm = replace(chain.arm, model=case.arm.model.name)
-    parameters = replace(chain, arm=arm, synchronizer=replace(chain.synchronizer, width=width))
+    chain = told_of_arm(load_parameters(None), case.scenario)
+    parameters = replace(chain, synchronizer=replace(chain.synchronizer, width=width))
     seen = TwinPerception(case, parameters, pace)
     known = BySight(seen) if by_sight else seen
-    checker = ArmCollisionChecker(case.arm.model, allowed=(taught_region(case),))
+    checker = ArmCollisionChecker(case.arm.model, allowed=(case.taught_region,))
     try:
         record = case.run_with(known, case.parameters.separation.human_speed, checker)
     finally:
@@ -110,23 +110,6 @@ class _WorkClock:
     def now(self) -> int:
         """Simulated time, ns."""
         return self._base_ns if self._begun is None else self._base_ns + time.process_time_ns() - self._begun
-
-
-_TAUGHT_MARGIN_M = 0.05
-"""A program is taught to keep so far from furniture, m."""
-
-
-def taught_region(case: CellCase) -> AllowedRegion:
-    """The box about all that the arm sweeps in its cycle, grown by `_TAUGHT_MARGIN_M`.
-
-    Its program was taught clear of furniture: what the twin takes to stand there is the arm's own outline, or something
-    that the program passes by.
-    """
-    template = case.arm.cycle.template
-    placed = place_capsules(case.arm.model, forward_kinematics(case.arm.model, template.positions))
-    reach = placed.radii[:, None, None] + _TAUGHT_MARGIN_M
-    lower, upper = (placed.ends - reach).min(axis=(0, 1, 2)), (placed.ends + reach).max(axis=(0, 1, 2))
-    return AllowedRegion(lower, upper, case.arm.model.link_names)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from twin_node.model.camera_mask import seen_by
 from twin_node.model.exposure import Exposures, Levelled
 from twin_node.model.seeding import find_plane, find_surfaces
 from twin_node.nodes.log_source import DEFAULT_WIDTH
-from twin_node.robot import ArmModel, arm_model
+from twin_node.robot import ArmModel
 from twin_node.scene import Bool, FrameSet, UInt8
 
 SCENARIOS = ("conveyor", "reach_in", "cross", "demo")
@@ -163,7 +163,8 @@ def _run_seed(
     source = CellSource(scenario)
     simulated, sensing = source.simulated, scenario.sensing
     parts = MovingParts(simulated)
-    masks = ModelMasks(None if scenario.arm is None else arm_model(scenario.arm.model))
+    arm = simulated.world.arm
+    masks = ModelMasks(None if arm is None else arm.model)
     tallies = {camera.name: MaskTally(sensing.height, sensing.width) for camera in source.cameras}
     drawn = np.linspace(0, simulated.ticks - 1, MOMENTS + 2).astype(int)[1:-1] if with_shots else ()
     moments = []

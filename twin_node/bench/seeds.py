@@ -11,6 +11,7 @@ from twin_node.bench.contenders import OURS
 from twin_node.bench.equal_recall import EqualRecall
 from twin_node.bench.occupancy import OccupancyBench, OccupancyBenchParameters, score_states
 from twin_node.bench.seen import SeenSurfaces, SeenThings, Sightings
+from twin_node.bench.simulated_arm import told_of_arm
 from twin_node.bench.text_table import markdown_table, percent
 from twin_node.cell import CellSource, Scenario, load_scenario
 from twin_node.forecast import default_grid
@@ -150,9 +151,7 @@ def run_seeds(
     Raises `CellError` or `ResourceError` for a scenario that is none.
     """
     read = _small(load_scenario(scenario), parameters)
-    arm = parameters.chain.arm
-    chain = parameters.chain if read.arm is None else replace(parameters.chain, arm=replace(arm, model=read.arm.model))
-    parameters = replace(parameters, chain=chain)
+    parameters = replace(parameters, chain=told_of_arm(parameters.chain, read))
     return SeedsBench(read.name, tuple(_scored(read.with_seed(seed), parameters) for seed in progress(seeds)))
 
 

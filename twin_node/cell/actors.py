@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from twin_node.arm.cycle import CycleParameters
+from twin_node.arm.tool import FARTHEST_TOOL_M, ToolCapsule
 from twin_node.cell.errors import CellError
 from twin_node.cell.motion import FARTHEST_M, Path
 from twin_node.cell.shapes import Form, Shape
@@ -59,6 +60,16 @@ class Part:
     def shape(self) -> Shape:
         """The primitive in its own frame."""
         return Shape(Form(self.form), self.size)
+
+    @property
+    def about(self) -> ToolCapsule:
+        """A capsule that holds it, in the body's frame."""
+        half = self.shape.half_extents
+        axis = int(np.argmax(half))
+        radius = float(np.linalg.norm(np.delete(half, axis))) if self.form == "box" else self.size[0]
+        along = self.T_body_part[:3, axis] * (half[axis] - (0 if self.form == "box" else radius))
+        center = self.T_body_part[:3, 3]
+        return ToolCapsule(_triple(center - along), _triple(center + along), radius)
 
     @cached_property
     def T_body_part(self) -> Float64:
@@ -146,10 +157,20 @@ class ArmSpec:
     workspace: tuple[Triple, Triple] | None = None
     """Lower and upper corner of where it picks and places, m; None: the scenario's."""
     cycle: CycleParameters = field(default_factory=CycleParameters)
-    """How fast its program runs."""
+    """How fast its program runs, and how far beyond `tool0` its tool picks and places."""
+    tool: tuple[ToolCapsule, ...] = ()
+    """What it carries for good, a gripper for example, in the frame of `tool0`."""
+    handled: tuple[Part, ...] = ()
+    """What it picks and places, in the frame of `tool0` while that holds it. It stands at the pick point at first; the
+    arm places it, comes once with nothing and takes it back, and so on."""
     joint_rate_hz: float = 125.0
     """Rate of the joint states (a UR e-series controller allows up to 500 Hz)."""
     texture: Texture = ARM_PAINT
+
+    @property
+    def carried(self) -> tuple[ToolCapsule, ...]:
+        """Its tool and capsules about what it holds at times: what a twin is told that it carries."""
+        return (*self.tool, *(part.about for part in self.handled))
 
     def __post_init__(self) -> None:
         if self.model not in UR_NAMES:
@@ -161,9 +182,15 @@ class ArmSpec:
             require_corners("arm", self.workspace)
         check_ranges(self, CellError, "arm: ", joint_rate_hz=Range(0, 1000, above=True))
         speeds = {"speed": Range(0.01, 100), "acceleration": Range(0.01, 1000)}
-        check_ranges(self.cycle, CellError, "arm: cycle.", **speeds, dwell_s=Range(0, 3600), lift_m=Range(0, 10))
+        lengths = {"lift_m": Range(0, 10), "tool_length_m": Range(0, FARTHEST_TOOL_M)}
+        check_ranges(self.cycle, CellError, "arm: cycle.", **speeds, dwell_s=Range(0, 3600), **lengths)
 
 
 def require_corners(where: str, workspace: tuple[Triple, Triple]) -> None:
     if np.any(np.array(workspace[0]) >= np.array(workspace[1])):
         raise CellError(f"{where}: workspace must be a lower and an upper corner, found {workspace}")
+
+
+def _triple(values: Float64) -> Triple:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin_node import resources
+from twin_node.arm.errors import ArmError
 from twin_node.cell.errors import CellError
 from twin_node.cell.scenario import Scenario
 from twin_node.errors import kind_of
@@ -30,7 +31,7 @@ def load_scenario(name: str | Path) -> Scenario:
         return _with_files(fill(Scenario, content, str(path)), (whose.parent, path.parent))
     except ParameterError as error:
         raise CellError(str(error)) from error
-    except CellError as error:
+    except (CellError, ArmError) as error:
         raise CellError(f"{path}: {error}") from error
 
 

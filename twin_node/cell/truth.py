@@ -37,8 +37,7 @@ class CellTruth:
 
     def arm_mask(self, camera: int, stamp: int) -> Bool:
         """[H, W] True where a camera of the rig sees the arm."""
-        owner = len(self._world.names) - 1
-        return self._simulated.see(camera, stamp).shows((owner,) if self._world.arm else ())
+        return self._simulated.see(camera, stamp).shows((self._world.arm_owner,) if self._world.arm else ())
 
 
 def workspace_grid(workspace: Float64, voxel_size: float) -> Grid:

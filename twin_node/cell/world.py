@@ -39,7 +39,8 @@ class World:
         self.scenario = scenario
         self.arm = None if scenario.arm is None else ArmInCell(scenario.arm, scenario)
         actors: tuple[Body | Person, ...] = (*scenario.furniture, *scenario.bodies, *scenario.people)
-        self.names: tuple[str, ...] = (*(actor.name for actor in actors), *(("arm",) if self.arm else ()))
+        of_arm = () if scenario.arm is None else ("arm", "handled part") if scenario.arm.handled else ("arm",)
+        self.names: tuple[str, ...] = (*(actor.name for actor in actors), *of_arm)
         """Everything in the cell; `Solid.owner` is an index into this."""
         self.static: tuple[Solid, ...] = tuple(
             solid for i, body in enumerate(scenario.furniture) for solid in body_solids(body, body.path.pose(0.0), i)
@@ -61,6 +62,11 @@ class World:
         """Indices in `names` of the moving bodies and people: all that moves but the arm."""
         first = len(self.scenario.furniture)
         return tuple(range(first, first + len(self.scenario.bodies) + len(self.scenario.people)))
+
+    @property
+    def arm_owner(self) -> int:
+        """Index in `names` of the arm, where there is one; the part that it handles follows."""
+        return len(self.scenario.furniture) + len(self.moving_owners)
 
     def seconds(self, stamp: int) -> float:
         """Time after the scenario's start of a stamp in ns."""
@@ -89,8 +95,10 @@ class World:
         return tuple(solids)
 
     def arm_solids(self, stamp: int) -> tuple[Solid, ...]:
-        """The arm's links at a stamp; none without an arm."""
-        return () if self.arm is None else self.arm.solids(stamp, len(self.names) - 1)
+        """The arm's links at a stamp, its tool and the part that it handles; none without an arm."""
+        if self.arm is None:
+            return ()
+        return (*self.arm.solids(stamp, self.arm_owner), *self.arm.handled(stamp, self.arm_owner + 1))
 
     def _change(self, rng: np.random.Generator) -> Change:
         variation = self.scenario.variation

@@ -12,7 +12,9 @@ from twin_node.arm import (
     LimiterParameters,
     SeparationParameters,
     StoppingTable,
+    ToolCapsule,
     stopping_table,
+    with_tool,
 )
 from twin_node.arm.attachment import FARTHEST_REGION_M
 from twin_node.arm.stopping import FASTEST_RAD_S
@@ -20,33 +22,10 @@ from twin_node.arm.ur import LOOKAHEAD_S, LOOKAHEADS_S
 from twin_node.ranges import Range, check_ranges
 from twin_node.robot import ArmModel, arm_model
 
-FARTHEST_TOOL_M = 2.0
-"""No part of a tool is farther from `tool0`, m: who gives more means millimetres."""
 OF_A_STOP = 10.0
 """A stop's angle is about half its time at the speed before; none is so many times less or more."""
 LONGEST_S = 10.0
 """No command is under way, and no program slides to a stop, for so long, s: who gives more means milliseconds."""
-
-
-@dataclass(frozen=True)
-class ToolCapsule:
-    """A capsule about a part of what the arm carries for good, in the frame of `tool0`; equal ends make a sphere."""
-
-    start: tuple[float, float, float]
-    """m."""
-    end: tuple[float, float, float]
-    """m."""
-    radius: float
-    """m."""
-
-    def __post_init__(self) -> None:
-        """Raises `ArmError` for values that make no capsule, or one in millimetres."""
-        places = np.abs([*self.start, *self.end])
-        if not (places <= FARTHEST_TOOL_M).all() or not 0 < self.radius <= FARTHEST_TOOL_M:
-            raise ArmError(
-                f"tool: expected ends and a radius in metres, at most {FARTHEST_TOOL_M:g} from tool0, found "
-                f"{list(self.start)}, {list(self.end)} and {self.radius:g}"
-            )
 
 
 @dataclass(frozen=True)
@@ -162,11 +141,7 @@ class ArmParameters:
 
     def arm(self) -> ArmModel:
         """The arm's model with its tool. Raises `RobotError` or `ResourceError` for a wrong name or file."""
-        bare = arm_model(self.model, self.kinematics, self.joints or None)
-        if not self.tool:
-            return bare
-        ends = np.array([[capsule.start, capsule.end] for capsule in self.tool])
-        return bare.carrying(ends, np.array([capsule.radius for capsule in self.tool]))
+        return with_tool(arm_model(self.model, self.kinematics, self.joints or None), self.tool)
 
     def table(self, arm: ArmModel) -> StoppingTable:
         """How it stops by itself. Raises `ArmError` for rows that make no table, or one of other joints."""
