@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ from twin_node.model.arm_mask import robot_masks
 from twin_node.model.rays import look
 from twin_node.model.set_down import around
 from twin_node.robot import ArmModel, ur_model
-from twin_node.scene import Bool, Camera, Float64, GaussianCloud, NodeStates, TwinState
+from twin_node.scene import Bool, Camera, Float64, GaussianCloud, NodeStates, TwinState, UInt8
 
 HOLDS_M = 0.07
 """From the flange to the middle of the part in the gripper."""
@@ -89,10 +91,10 @@ class Shown:
     """By view, where the bodies truly are."""
 
 
-def cell(*bodies: Body) -> CellSource:
+def cell(*bodies: Body, rate_hz: float = 15.0) -> CellSource:
     """What two cameras see of the bodies and of the arm."""
     base = load_scenario("cell")
-    sensing = replace(Sensing(), width=160, height=120, rate_hz=15.0, jitter_ms=0.0)
+    sensing = replace(Sensing(), width=160, height=120, rate_hz=rate_hz, jitter_ms=0.0)
     scenario = replace(base, bodies=bodies, cameras=base.cameras[:2], duration_s=END_S, sensing=sensing)
     source = CellSource(scenario)
     assert scenario.arm is not None
@@ -100,14 +102,20 @@ def cell(*bodies: Body) -> CellSource:
     return source
 
 
-def run(*bodies: Body, arm: ArmModel | None) -> Iterator[Shown]:
+def run(*bodies: Body, arm: ArmModel | None, rate_hz: float = 15.0) -> Iterator[Shown]:
     """The masks of both cameras; `arm`: what the mask knows of the arm."""
-    source, mask, model = cell(*bodies), MovingMask(arm), with_gripper()
+    source, mask, model = cell(*bodies, rate_hz=rate_hz), MovingMask(arm), with_gripper()
     world = source.simulated.world
     for frames in source:
         seen = [source.simulated.see(camera, view.stamp) for camera, view in enumerate(frames.views)]
         things = tuple(one.shows(world.moving_owners) for one in seen)
         yield Shown(mask.update(frames, robot_masks(model, frames)), things)
+
+
+def sent(rgb: UInt8) -> UInt8:
+    """An image [H, W, 3] as it comes out of JPEG."""
+    read: UInt8 = cv2.imdecode(cv2.imencode(".jpg", rgb)[1], cv2.IMREAD_COLOR).astype(np.uint8)
+    return read
 
 
 def moved(shown: Shown) -> int:
@@ -124,6 +132,30 @@ def test_what_the_arm_handles_does_not_move(is_brought: bool) -> None:
 @pytest.mark.parametrize("is_brought", [True, False], ids=["put down", "picked up"])
 def test_without_the_arm_it_would(is_brought: bool) -> None:
     assert any(moved(shown) for shown in run(part(is_brought), arm=None))
+
+
+def test_ground_bared_slowly_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm's rims are measured before they are looked at, and what lies deeper is learnt at once."""
+    monkeypatch.setattr(sys.modules[__name__], "GONE_S", 3.2)
+    monkeypatch.setattr(sys.modules[__name__], "END_S", 3.7)
+    held = [moved(shown) for shown in run(part(is_brought=False), arm=with_gripper(), rate_hz=30.0)]
+    assert sum(held) == 0
+
+
+def test_nothing_moves_where_an_arm_works_alone() -> None:
+    """Images are compressed as cameras send them: colours of the part run out into what is beside it."""
+    pick = load_scenario("pick").at_width(160)
+    assert pick.arm is not None
+    arm = replace(pick.arm, cycle=replace(pick.arm.cycle, speed=3.0, acceleration=8.0, dwell_s=0.3))
+    sensing = replace(pick.sensing, rate_hz=15.0)
+    source = CellSource(replace(pick, arm=arm, cameras=pick.cameras[:2], duration_s=5.0, sensing=sensing))
+    assert source.simulated.world.arm is not None
+    model = source.simulated.world.arm.model
+    mask, held = MovingMask(model), 0
+    for frames in source:
+        come = replace(frames, views=tuple(replace(view, rgb=sent(view.rgb)) for view in frames.views))
+        held += sum(int(one.sum()) for one in mask.update(come, robot_masks(model, come)))
+    assert held == 0
 
 
 def test_what_was_put_down_moves_when_somebody_pushes_it() -> None:

@@ -31,17 +31,20 @@ SHADED_NS = 1_000_000_000
 LATEST_NS = 20_000_000_000
 """What is bared so long after the tool has gone may have come since, ns."""
 LEAST = 0.5
-"""Share of a thing's pixels that the arm must have left: the others are its rims."""
+"""Share of a thing's pixels that the arm must have left, or that lie beside such: the others are its rims."""
 BESET_M = 0.15
 """What moves so near to where the tool rested may be somebody who hands a part over, or takes it, m."""
 MOST_PLACES = 8
 """Rests of which something may still be hidden; of more the oldest are forgotten."""
+_AROUND = np.ones((3, 3), np.uint8)
 NEVER = np.iinfo(np.int64).max // 2
 """Has not been yet, ns."""
 
 
 Pixels = NDArray[np.intp]
 """[n] rows, or columns, of pixels."""
+IsLeft = Callable[[Pixels, Pixels, Float64], Bool]
+"""[n] of rows and columns, and of the depth of the ground that was known there, m."""
 
 
 class SetDown:
@@ -88,10 +91,10 @@ class SetDown:
             return None
         gone = self._places[:-1] if self._rests else self._places
         if self._rests:
-            self._places[-1].hide(view, robot)
+            self._places[-1].hide(view, robot, ground)
         found = np.zeros_like(robot)
         for place in gone:
-            place.bare(view, robot, ground, found)
+            place.bare(view, robot, found)
         return found if found.any() else None
 
     def things(self, views: Sequence[View], masks: Sequence[Bool], left: Sequence[Bool | None]) -> list[Bool | None]:
@@ -119,9 +122,10 @@ def _things(view: View, mask: Bool, left: Bool | None) -> Bool | None:
     if left is None or view.depth is None or not (mask & left).any():
         return None
     count, labels = cv2.connectedComponents(mask.astype(np.uint8))
-    sizes, of_arm = (np.bincount(labels[of], minlength=count) for of in (mask, mask & left))
+    with_rims = cv2.dilate(left.astype(np.uint8), _AROUND) > 0
+    sizes, of_arm = (np.bincount(labels[of], minlength=count) for of in (mask, mask & with_rims))
     stands = of_arm >= LEAST * sizes
-    stands[labels[hands(mask & ~left, view.depth, view.camera.K[0, 0])]] = False
+    stands[labels[hands(mask & ~with_rims, view.depth, view.camera.K[0, 0])]] = False
     stands[0] = False
     return stands[labels] if stands.any() else None
 
@@ -161,29 +165,30 @@ class _Place:
         is_late = stamp - self.rested_at > LATEST_NS
         return not is_late and any(hidden.is_watched for hidden in self._hidden.values())
 
-    def hide(self, view: View, robot: Bool) -> None:
-        """While the tool rests a view shows the arm at `robot` [H, W]."""
+    def hide(self, view: View, robot: Bool, ground: Float32) -> None:
+        """While the tool rests a view shows the arm at `robot` [H, W], and `ground` [H, W] (m) is what was there."""
         self.rested_at, name = view.stamp, view.camera.name
         if name not in self._hidden or self._hidden[name].shape != robot.shape:
             self._hidden[name] = _Hidden(robot.shape, around(view.camera, self.ends, self.radii))
-        self._hidden[name].hide(robot)
+        self._hidden[name].hide(robot, ground)
 
-    def bare(self, view: View, robot: Bool, ground: Float32, found: Bool) -> None:
+    def bare(self, view: View, robot: Bool, found: Bool) -> None:
         """Adds to `found` [H, W] what a view shows in the tool's space of then, or behind ground that was there, where
         the arm hid it until of late; that is at `robot` now."""
         hidden = self._hidden.get(view.camera.name)
         if hidden is not None and hidden.shape == robot.shape and view.depth is not None and hidden.is_watched:
             seen = ~robot if view.valid is None else view.valid & ~robot
-            hidden.bare(view, seen, partial(self._is_left, view, ground), found)
+            hidden.bare(view, seen, partial(self._is_left, view), found)
 
     def is_near(self, points: Float64) -> bool:
         """Whether any of the points [3, n] (m) is at the place."""
         return bool((nearest_capsules(self.ends, self.radii, points).gaps < BESET_M).any())
 
-    def _is_left(self, view: View, ground: Float32, rows: Pixels, columns: Pixels) -> Bool:
-        """[n] which pixels show what was in the tool, or are bared since the tool has taken what was before them."""
+    def _is_left(self, view: View, rows: Pixels, columns: Pixels, known: Float64) -> Bool:
+        """[n] which pixels show what was in the tool, or are bared since the tool has taken what was before them: by
+        what was `known` [n] of the ground there, m."""
         assert view.depth is not None
-        depth, known = (of[rows, columns].astype(np.float64) for of in (view.depth, ground))
+        depth = view.depth[rows, columns].astype(np.float64)
         taken = (known > 0) & (depth > known * (1 + DEPTH_LEVELS) + NEAR_M)
         taken &= self._holds(view.camera, rows, columns, known)
         return taken | self._holds(view.camera, rows, columns, depth)
@@ -205,6 +210,9 @@ class _Hidden:
         """Rows and columns that may show what is in the tool's space, or what was before it: [h, w] of the image."""
         self._arm = np.zeros(shape, np.bool_)[box]
         """[h, w] where the arm has been, and nothing has been measured since."""
+        self._ground: Float32 = np.zeros(self._arm.shape, np.float32)
+        """[h, w] m of the ground before the arm hid it, 0 where it was not known: what lies deeper is learnt as soon as
+        it is measured, and the arm's rims are measured before they are looked at."""
         self._bared_at: NDArray[np.int64] = np.full(self._arm.shape, NEVER, np.int64)
         """[h, w] when the arm was first gone, ns."""
         self._depth: Float32 = np.zeros(self._arm.shape, np.float32)
@@ -215,11 +223,13 @@ class _Hidden:
         """Whether anything is still hidden, or has been bared of late."""
         return bool(self._arm.any() or self._depth.any())
 
-    def hide(self, robot: Bool) -> None:
-        """The arm rests, and hides `robot` [H, W]."""
-        self._arm |= robot[self._box]
+    def hide(self, robot: Bool, ground: Float32) -> None:
+        """The arm rests, and hides `robot` [H, W]; of what is there it is known how deep it is, as `ground` [H, W]."""
+        comes = robot[self._box] & ~self._arm
+        self._ground[comes] = ground[self._box][comes]
+        self._arm |= comes
 
-    def bare(self, view: View, seen: Bool, is_left: Callable[[Pixels, Pixels], Bool], found: Bool) -> None:
+    def bare(self, view: View, seen: Bool, is_left: IsLeft, found: Bool) -> None:
         """Adds to `found` [H, W] what was left, of what is `seen` [H, W] in a view; `is_left` tells it of pixels."""
         assert view.depth is not None
         seen, depth = seen[self._box], view.depth[self._box]
@@ -228,7 +238,8 @@ class _Hidden:
         told = bared & (depth > 0)
         rows, columns = np.nonzero(told)
         if len(rows):
-            left = is_left(rows + self._box[0].start, columns + self._box[1].start)
+            known = self._ground[rows, columns].astype(np.float64)
+            left = is_left(rows + self._box[0].start, columns + self._box[1].start, known)
             rows, columns = rows[left], columns[left]
             self._depth[rows, columns] = depth[rows, columns]
         since = view.stamp - self._bared_at
