@@ -110,3 +110,30 @@ def test_joints_that_come_late_do_not_replace_newer_ones() -> None:
     cell.joints()
     cell.joints(qd=np.zeros(6), ago_ms=30)
     assert cell.somebody().reason == "slow for MOVING"
+
+
+@pytest.mark.parametrize(
+    ("ago_ms", "when"),
+    [(410, "410 ms old"), (37_000, "37000 ms old"), (-3_600_000, "3600000 ms in the future")],
+)
+def test_diagnostics_tell_an_arm_that_stands_since_its_joints_are_of_another_time(ago_ms: int, when: str) -> None:
+    """They said "known": `doctor` found all sound beside an arm whose driver had died, or went by another clock."""
+    cell = Cell(Timers())
+    cell.joints(qd=np.zeros(6), ago_ms=ago_ms)
+    assert cell.somebody().reason == f"stopped: the arm's joints are {when}"
+    known = cell.node.diagnoses()[0]
+    assert known.level is convert.Level.ERROR
+    assert known.message.startswith(f"the arm's joints are {when}, so it stands; look at who publishes /joint_states")
+    cell.joints()
+    assert cell.node.diagnoses()[0].message == "known"
+
+
+def test_diagnostics_warn_of_an_arm_whose_path_alone_is_fresh() -> None:
+    """Nobody knows then whether it follows that, and to the images it is a thing that moves."""
+    cell = Cell(Timers())
+    cell.joints(ago_ms=37_000)
+    cell.path(0, 1000)
+    assert not cell.somebody().reason.startswith("stopped: the arm's joints")
+    known = cell.node.diagnoses()[0]
+    assert known.level is convert.Level.WARN
+    assert known.message.startswith("the arm's joints are 37000 ms old: /arm/trajectory alone is believed")

@@ -148,6 +148,14 @@ class ArmPredictor:
         is_fresh = self._joints is not None and abs(now - self._joints.stamp) <= self._lasting_ns
         return self._joints if is_fresh else None
 
+    def stale(self, now: int) -> str | None:
+        """That the newest joints are not of now (ns), in words; None: they are, or none have come."""
+        if self._joints is None or self.joints(now) is not None:
+            return None
+        age_ms = (now - self._joints.stamp) / 1e6
+        when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
+        return f"the arm's joints are {when}"
+
     def ahead(self, stamp: int, now: int) -> JointPath:
         """The arm's next 200 ms from a time on (ns), as it is known by now (ns).
 
@@ -163,10 +171,8 @@ class ArmPredictor:
             if self._stray_rad is None:
                 return path_ahead(self._model, gone_on, stamp)
         if joints is not None:
-            age_ms = (now - joints.stamp) / 1e6
-            if abs(age_ms) * 1e6 > self._lasting_ns:
-                when = f"{age_ms:.0f} ms old" if age_ms > 0 else f"{-age_ms:.0f} ms in the future"
-                raise ArmError(f"the arm's joints are {when}")
+            if (stale := self.stale(now)) is not None:
+                raise ArmError(stale)
             here = path_from_sample(self._model, joints, stamp).positions[0]  # as fast as it is let go until then
             return extrapolate(self._model, here, self._intended, stamp)
         if path is None and self._refused is not None:

@@ -48,6 +48,8 @@ TOLD_NS = 10_000_000_000
 """So long after it is told that the arm was outside the workspace, ns: about a cycle."""
 MADE_UP = " (of a made-up arm)"
 """Said after the reason of a decision where nobody has told of an arm."""
+CLOCKS = "keep the clocks of cameras, twin and arm together (chrony, PTP)"
+"""What to do about stamps of another time."""
 ROUNDING = 1e-6
 """Share of a step by which a moment that was aimed at may be missed for reasons of floating point."""
 
@@ -124,6 +126,10 @@ class ArmNode(Node):
 
     def diagnoses(self) -> tuple[convert.Diagnosis, ...]:
         """Whether it knows of an arm, whether that works where somebody looks, and whether forecasts come in time."""
+        return (self._known(), self._reach(), self._forecasts())
+
+    def _known(self) -> convert.Diagnosis:
+        """Whether somebody tells where the arm is, and can be believed."""
         level, message = convert.Level.OK, "known"
         if (other := self._other_arm()) is not None:
             level, message = convert.Level.ERROR, f"{other}, so it stands"
@@ -138,13 +144,31 @@ class ArmNode(Node):
                 f"the arm's joints jump by {torn_rad:.2f} rad, so it stands: where two arms tell of themselves on "
                 f"{JOINT_STATES}, give their joints' names a prefix each ('joints' of 'arm' and 'ur_driver')"
             )
+        elif (lost := self._lost()) is not None:
+            level = convert.Level.ERROR
+            message = f"{lost}, so it stands; look at who publishes {JOINT_STATES}, and {CLOCKS}"
         elif self._arm.stray_rad is not None:
             level = convert.Level.WARN
             message = (
                 f"the arm is {self._arm.stray_rad:.2f} rad from where {TRAJECTORY} has it: {JOINT_STATES} alone are "
                 "believed until another one comes; publish what it will do as it is held back"
             )
-        return (convert.Diagnosis(f"{self.name}: joints", level, message), self._reach(), self._forecasts())
+        elif (stale := self._arm.stale(self.clock.now())) is not None:
+            level = convert.Level.WARN
+            message = (
+                f"{stale}: {TRAJECTORY} alone is believed, and in images the arm is a thing that moves; look at who "
+                f"publishes {JOINT_STATES}, and {CLOCKS}"
+            )
+        return convert.Diagnosis(f"{self.name}: joints", level, message)
+
+    def _lost(self) -> str | None:
+        """Why nobody knows where the arm is by now; None: somebody does."""
+        now = self.clock.now()
+        try:
+            self._arm.ahead(now, now)
+        except (ArmError, RobotError) as error:
+            return str(error)
+        return None
 
     def _reach(self) -> convert.Diagnosis:
         """Whether the arm works where somebody looks: elsewhere nothing is seen, and nothing stops it."""
@@ -170,8 +194,8 @@ class ArmNode(Node):
         elif self._ahead_s > AHEAD_S:
             level = convert.Level.WARN
             message = (
-                f"their evidence lies {self._ahead_s * 1e3:.0f} ms in the future, so nobody knows how old it is; keep "
-                "the clocks of cameras, twin and arm together (chrony, PTP)"
+                f"their evidence lies {self._ahead_s * 1e3:.0f} ms in the future, so nobody knows how old it is; "
+                f"{CLOCKS}"
             )
         readings = (convert.Reading("silence_s", f"{silence_s:.3f}"),)
         return convert.Diagnosis(f"{self.name}: forecasts", level, message, readings)
