@@ -29,9 +29,10 @@ from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity, Qos
 from twin_node.scene import ObstacleKind, Separation
 
 
-def made(arm: dict[str, str], driver: dict[str, str], **shared: str) -> ArmNode:
+def made(arm: dict[str, str], driver: dict[str, str], cell: dict[str, str] | None = None, **shared: str) -> ArmNode:
     """The arm's node of a launch file with these sections, and parameters that all its nodes share."""
     sections = {"/**": {"rig": {"scenario": "demo"}, **shared}, "arm": arm, "ur_driver": driver}
+    sections |= {} if cell is None else {"cell": cell}
     bus, clock = LocalBus(), SteppedClock(START)
     setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)
     return make_arm(setup)
@@ -59,6 +60,20 @@ def test_the_arm_that_is_driven_is_found_in_the_section_of_all_nodes_too() -> No
     with pytest.raises(TwinError, match="expected the arm that is driven, ur10e, found ur5e"):
         made({"model": "ur5e"}, {}, robot="192.168.1.10", model="ur10e")
     assert made({"model": "ur10e"}, {}, robot="192.168.1.10", model="ur10e") is not None
+
+
+def test_the_arm_that_is_judged_is_the_one_that_the_simulated_cell_shows() -> None:
+    """`scenario:=stop arm:=scenario` of the simulated cell judged a UR5e, the default, where a UR10e moves."""
+    with pytest.raises(TwinError, match=r"cell.yaml: arm.model: expected the scenario's arm, ur5e, found ur10e"):
+        made({}, {}, cell={"arm": "scenario"})
+    with pytest.raises(TwinError, match="expected the scenario's arm, ur5e, found airo:ur10e"):
+        made({"model": "airo:ur10e"}, {}, cell={})  # by default
+    with pytest.raises(TwinError, match="expected the scenario's arm, ur5e, found ur10e"):  # that driver is not begun
+        made({"model": "ur10e"}, {"robot": "127.0.0.1", "model": "ur10e"}, cell={"arm": "scenario"})
+    for model in ("ur5e", "airo:ur5e", "sim/ur5e.xml"):
+        assert made({"model": model}, {}, cell={"arm": "scenario"}) is not None
+    assert made({"model": "ur10e"}, {}, cell={"arm": "ur-sim"}) is not None  # a driver elsewhere moves it
+    assert made({"model": "ur10e"}, {}) is not None  # the cell, if there is one, is another launch's
 
 
 def test_the_joints_of_the_arm_that_is_judged_are_called_as_its_driver_calls_them() -> None:

@@ -21,6 +21,8 @@ from twin_node.runtime.node import Node
 from twin_node.runtime.parameters import values_of
 from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind
 
+CELL = "cell"
+"""The node of the simulated cell."""
 OBEYING = (DRIVER, "speed_scaling")
 """Nodes that slow an arm as it is decided."""
 
@@ -70,13 +72,14 @@ class LiveSynchronizerNode(SynchronizerNode):
 def make_arm(setup: Setup) -> Node:
     """The arm's collision checker and its speed decisions, with a timer for forecasts that do not come.
 
-    Raises `GraphError` where the driver of the same launch drives another arm.
+    Raises `GraphError` where the driver of the same launch drives another arm, or its simulated cell shows one.
     """
     source, parameters = read_rig(setup.rig()), setup.chain_parameters()
     driver = _launched_driver(setup)
     if driver is not None:
         _check_driven(setup.where, driver.model, parameters.arm.model)
         _check_called(setup.where, driver.arm().joint_names, parameters.arm.arm().joint_names)
+    _check_shown(setup, parameters.arm.model)
     workspace, arm = working_volume(source, parameters.synchronizer.width), parameters.arm
     if driver is None or driver.mode is not DriverMode.SERVO:
         return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, partial(_who_obeys, setup))
@@ -109,6 +112,22 @@ def _check_driven(where: str, driven: str, model: str) -> None:
         raise GraphError(
             f"{where}: arm.model: expected the arm that is driven, {driven}, found {model}; give 'arm' and "
             "'ur_driver' the same 'model'"
+        )
+
+
+def _check_shown(setup: Setup, model: str) -> None:
+    """Raises `GraphError` where the launch's simulated cell shows another arm, which moves as its scenario has it."""
+    if not (setup.rig().scenario and CELL in setup.sections):
+        return
+    from twin_node.cell import load_scenario
+    from twin_node.nodes.live.cell import SCENARIOS_OWN, CellParameters
+
+    shown = load_scenario(setup.rig().scenario).arm
+    is_scenarios = setup.parameters(CellParameters, CELL).arm == SCENARIOS_OWN
+    if shown is not None and is_scenarios and is_other_arm(shown.model, model):
+        raise GraphError(
+            f"{setup.where}: arm.model: expected the scenario's arm, {shown.model}, found {model}; give the launch "
+            f"model:={shown.model}, or the section 'arm' that 'model'"
         )
 
 
