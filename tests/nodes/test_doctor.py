@@ -11,7 +11,7 @@ import pytest
 from twin_node.messages import builtin_types, convert, message_type
 from twin_node.nodes.live import doctor
 from twin_node.nodes.live.doctor import examine, graph_faults
-from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, JOINT_STATES, RAW, SEPARATION
+from twin_node.nodes.topics import CLOCK, COMPRESSED, DIAGNOSTICS, JOINT_STATES, RAW, SEPARATION, STATUS
 from twin_node.runtime.qos import LATCHED, RELIABLE, TopicKind
 from twin_node.runtime.rmw_zenoh import HUMBLE_HASH, Endpoint, EntityKind, NodeIdentity
 from twin_node.runtime.wire import Encoded, LocalWire
@@ -280,3 +280,17 @@ def test_nodes_of_which_nothing_comes_are_told(monkeypatch: pytest.MonkeyPatch) 
     cell, twin = examine(wire, 0.05).faults
     assert cell.startswith("cell: nothing comes of all that it publishes (/a/image_raw); it hangs or waits")
     assert twin.startswith("twin: nothing comes of all that it publishes (/diagnostics)")
+
+
+def test_what_the_twins_status_warns_of_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a twin that says it is not to be trusted all was sound, and the arm's node says to look at that status."""
+    monkeypatch.setattr(doctor, "DISCOVERY_S", 0.0)
+    kind, wire, ends = TopicKind("twin_msgs/msg/TwinStatus", LATCHED), LocalWire(), []
+    for name, warnings in (("a", ["model: it looks like a ur10e", "light: too dark"]), ("b", [])):
+        topic = f"/{name}{STATUS}"
+        send = wire.publisher("twin", topic, kind)
+        send(convert.status_to_message(convert.Status(1, (0,) * 5, 0, 1, 0, warnings=tuple(warnings))))
+        ends.append(replace(in_namespace(publisher("twin", topic, str(kind.msgtype)), f"/{name}"), qos=LATCHED))
+    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    told = ("/a/twin: WARN: model: it looks like a ur10e", "/a/twin: WARN: light: too dark")
+    assert examine(wire, 0.5).faults == told

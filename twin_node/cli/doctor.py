@@ -14,7 +14,7 @@ def add_doctor(commands: Any) -> None:
         "doctor",
         help="look the live graph over",
         description="Listen to the live graph for some seconds: who is there, what comes how regularly, what "
-        "/diagnostics says. Exit status: 0 sound, 1 something found.",
+        "/diagnostics and the twin's status say. Exit status: 0 sound, 1 something found.",
     )
     doctor.add_argument("--seconds", type=positive, default=3.0, metavar="S", help="how long to listen (default 3)")
     doctor.add_argument("--devices", action="store_true", help="list OAK cameras that are plugged in, and end")

@@ -24,6 +24,7 @@ from twin_node.nodes.topics import (
     JOINT_STATE,
     RECORDED,
     REGULAR_TYPES,
+    STATUS,
     TRAJECTORY,
     kind_of,
     kind_of_own,
@@ -66,6 +67,8 @@ class _Ear:
     def __init__(self, wire: Wire, executor: Executor, published: Mapping[str, Endpoint]) -> None:
         self.newest: dict[str, convert.Diagnosis] = {}
         """Diagnosis by its name, with the namespace before it where there is one."""
+        self.warnings: dict[str, tuple[str, ...]] = {}
+        """What each twin's newest status warns of, by its node."""
         self._published = published
         self._clocks = {t: FollowedClock() for t, end in published.items() if _is_own(t, end.msgtype, CLOCK)}
         """By their topics: those of namespaces may be renamed."""
@@ -97,6 +100,8 @@ class _Ear:
         if _is_own(topic, message.msgtype, DIAGNOSTICS):
             found = convert.diagnostics_from_message(message.decode())
             self.newest |= {_full(one.name, topic.removesuffix(DIAGNOSTICS)): one for one in found}
+        elif _is_own(topic, message.msgtype, STATUS):
+            self.warnings[_node(self._published[topic])] = convert.status_from_message(message.decode()).warnings
 
     def line(self, topic: str, width: int) -> str:
         """How often a topic was heard, how old its messages were, and what they are.
@@ -163,6 +168,7 @@ def examine(wire: Wire, seconds: float) -> Findings:
     faults += ear.close() + (_silent(ear, endpoints) if seconds >= SILENCE_S else [])
     bad = [(name, d) for name, d in ear.newest.items() if d.level is not convert.Level.OK]
     faults += [f"{name}: {d.level.name}: {d.message}" for name, d in bad]
+    faults += [f"{node}: WARN: {warning}" for node, warnings in sorted(ear.warnings.items()) for warning in warnings]
     return Findings(tuple(lines), tuple(faults))
 
 
