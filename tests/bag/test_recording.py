@@ -282,10 +282,10 @@ def test_a_full_disk_ends_the_recording_and_leaves_the_rest(tmp_path: Path, monk
 def test_a_disk_that_is_full_from_the_start_leaves_the_name_free(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    """An empty file stayed, and the next try was refused for it."""
+    """An empty file stayed, and the next try was refused for it; what was recorded was said to be readable."""
     open_file = Path.open
     monkeypatch.setattr(Path, "open", lambda p, *a, **k: FullDisk(open_file(p, *a, **k), 10))
-    with pytest.raises(BagError, match=r"cannot be written on \(No space left on device\)"):
+    with pytest.raises(BagError, match=r"on \(No space left on device\), so nothing is recorded; free space"):
         RecordingWriter(tmp_path / name)
     assert not list(tmp_path.iterdir())
     monkeypatch.undo()

@@ -313,14 +313,14 @@ class RecordingWriter:
         now_open.bytes += len(data)
 
     def _refused(self, error: OSError) -> BagError:
-        if error.errno == errno.ENOENT:
+        if error.errno == errno.ENOENT and self._files:
             return BagError(
                 f"{self.path}: is not there any more, somebody has removed or moved it, or its disk, while it was "
                 "recorded; begin another recording"
             )
+        kept = "; what was recorded until then can be read" if self.messages else ", so nothing is recorded"
         return BagError(
-            f"{self.path}: cannot be written on ({error.strerror}); what was recorded until then can be read; free "
-            "space or choose another place"
+            f"{self.path}: cannot be written on ({error.strerror}){kept}; free space or choose another place"
         )
 
 
