@@ -29,9 +29,15 @@ from twin_node.runtime.rmw_zenoh import Endpoint, EntityKind, NodeIdentity, Qos
 from twin_node.scene import ObstacleKind, Separation
 
 
-def made(arm: dict[str, str], driver: dict[str, str], cell: dict[str, str] | None = None, **shared: str) -> ArmNode:
+def made(
+    arm: dict[str, Any],
+    driver: dict[str, str],
+    cell: dict[str, str] | None = None,
+    scenario: str = "demo",
+    **shared: str,
+) -> ArmNode:
     """The arm's node of a launch file with these sections, and parameters that all its nodes share."""
-    sections = {"/**": {"rig": {"scenario": "demo"}, **shared}, "arm": arm, "ur_driver": driver}
+    sections = {"/**": {"rig": {"scenario": scenario}, **shared}, "arm": arm, "ur_driver": driver}
     sections |= {} if cell is None else {"cell": cell}
     bus, clock = LocalBus(), SteppedClock(START)
     setup = Setup("arm", bus, clock, Timers(), sections, "cell.yaml", lambda: None, tuple)
@@ -74,6 +80,15 @@ def test_the_arm_that_is_judged_is_the_one_that_the_simulated_cell_shows() -> No
         assert made({"model": model}, {}, cell={"arm": "scenario"}) is not None
     assert made({"model": "ur10e"}, {}, cell={"arm": "ur-sim"}) is not None  # a driver elsewhere moves it
     assert made({"model": "ur10e"}, {}) is not None  # the cell, if there is one, is another launch's
+
+
+def test_a_simulated_arm_whose_tool_nobody_tells_of_is_refused() -> None:
+    """It would stand beside its own gripper for ever."""
+    tool = [{"start": [0, 0, 0.03], "end": [0, 0, 0.2], "radius": 0.06}]
+    for moved_by in ("scenario", "ur-sim"):
+        with pytest.raises(TwinError, match=r"arm.tool: expected what the scenario's arm carries, found nothing"):
+            made({"model": "ur5e"}, {}, cell={"arm": moved_by}, scenario="pick")
+        assert made({"model": "ur5e", "tool": tool}, {}, cell={"arm": moved_by}, scenario="pick") is not None
 
 
 def test_the_joints_of_the_arm_that_is_judged_are_called_as_its_driver_calls_them() -> None:

@@ -9,6 +9,7 @@ from functools import partial
 from twin_node.arm.ur import DriverMode, UrParameters
 from twin_node.messages import Message
 from twin_node.nodes.arm import Driving, make_arm_node
+from twin_node.nodes.arm_parameters import ArmParameters
 from twin_node.nodes.depth_pairs import EncodedView
 from twin_node.nodes.live.depth_lenses import DepthLenses
 from twin_node.nodes.live.rig_source import RigSource, read_rig, working_volume
@@ -79,7 +80,7 @@ def make_arm(setup: Setup) -> Node:
     if driver is not None:
         _check_driven(setup.where, driver.model, parameters.arm.model)
         _check_called(setup.where, driver.arm().joint_names, parameters.arm.arm().joint_names)
-    _check_shown(setup, parameters.arm.model)
+    _check_shown(setup, parameters.arm)
     workspace, arm = working_volume(source, parameters.synchronizer.width), parameters.arm
     if driver is None or driver.mode is not DriverMode.SERVO:
         return make_arm_node(setup.bus, setup.clock, workspace, arm, setup.timers, partial(_who_obeys, setup))
@@ -115,8 +116,9 @@ def _check_driven(where: str, driven: str, model: str) -> None:
         )
 
 
-def _check_shown(setup: Setup, model: str) -> None:
-    """Raises `GraphError` where the launch's simulated cell shows another arm, which moves as its scenario has it."""
+def _check_shown(setup: Setup, judged: ArmParameters) -> None:
+    """Raises `GraphError` where the launch's simulated cell shows another arm, which moves as its scenario has it, or
+    an arm with a tool of which the twin is told nothing: beside that it would stand for ever."""
     if not (setup.rig().scenario and CELL in setup.sections):
         return
     from twin_node.cell import load_scenario
@@ -124,10 +126,17 @@ def _check_shown(setup: Setup, model: str) -> None:
 
     shown = load_scenario(setup.rig().scenario).arm
     is_scenarios = setup.parameters(CellParameters, CELL).arm == SCENARIOS_OWN
-    if shown is not None and is_scenarios and is_other_arm(shown.model, model):
+    if shown is None:
+        return
+    if is_scenarios and is_other_arm(shown.model, judged.model):
         raise GraphError(
-            f"{setup.where}: arm.model: expected the scenario's arm, {shown.model}, found {model}; give the launch "
-            f"model:={shown.model}, or the section 'arm' that 'model'"
+            f"{setup.where}: arm.model: expected the scenario's arm, {shown.model}, found {judged.model}; give the "
+            f"launch model:={shown.model}, or the section 'arm' that 'model'"
+        )
+    if shown.carried and not judged.tool:
+        raise GraphError(
+            f"{setup.where}: arm.tool: expected what the scenario's arm carries, found nothing; give its capsules and "
+            "where it may touch what stands, as in launch/pick.yaml (--params-file)"
         )
 
 
