@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin_node.geometry import distance_to_segment
-from twin_node.robot import ArmModel, RobotError, forward_kinematics, place_capsules, ur_model
+from twin_node.robot import ArmModel, RobotError, capsule_fit, forward_kinematics, place_capsules, ur_model
 from twin_node.robot.capsule_fit import fit_capsule, fit_capsules
 from twin_node.scene import Float64
 
@@ -125,6 +125,23 @@ def test_a_bent_mesh_needs_less_volume_with_more_capsules() -> None:
     corners = bent.reshape(-1, 3)
     outside = np.stack([distance_to_segment(corners, capsule.ends) - capsule.radius for capsule in two]).min(0)
     assert outside.max() <= 1e-12
+
+
+def test_a_mesh_is_fitted_once_and_another_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm's meshes, by who judges it and by its driver: the second waited as long again."""
+    fitted: list[Float64] = []
+    fit = capsule_fit._fit
+    monkeypatch.setattr(capsule_fit, "_fitted", {})
+    monkeypatch.setattr(capsule_fit, "_fit", lambda corners, count: fitted.append(corners) or fit(corners, count))
+    mesh = np.random.default_rng(2).normal(0, 0.1, (6, 3, 3))
+    others = [(mesh + 1e-6, 2), (mesh, 1), (mesh[:5], 2)]
+    for corners, count in [(mesh, 2), (mesh.copy(), 2), (mesh.astype(object).astype(float), 2), *others]:
+        found = fit_capsules(corners, count)
+        assert np.array_equal([one.ends for one in found], [one.ends for one in fit(corners, count)])
+    assert len(fitted) == 4
+    monkeypatch.setattr(capsule_fit, "_MOST_REMEMBERED", 4)
+    fit_capsules(mesh + 2e-6, 2)
+    assert len(capsule_fit._fitted) == 1, "no process remembers ever more"
 
 
 @pytest.mark.parametrize(

