@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from twin_node.bag import open_log
-from twin_node.cli import main
+from twin_node.cli import launch, main
+from twin_node.nodes.launch.launch_file import LaunchPlan
 
 
 def test_a_scenario_becomes_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,12 +31,23 @@ def test_the_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert any(line.startswith("thrown_ball") for line in lines)
 
 
+def test_a_live_run_has_the_parameters_of_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    plans: list[LaunchPlan] = []
+    monkeypatch.setattr(launch, "_run", lambda plan, logs: plans.append(plan))
+    assert main(["sim", "pick", "--params-file", "launch/pick.yaml", "--duration", "2"]) == 0
+    (plan,) = plans
+    assert len(plan.sections["arm"]["tool"]) == 4
+    assert plan.sections["arm"]["model"] == "ur5e"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ([], "expected a scenario, found none"),
         (["demo", "--seed", "2"], "--seed is for logs"),
         (["nowhere", "-o", "x.mcap"], "nowhere"),
+        (["pick", "-o", "x.mcap", "--params-file", "launch/pick.yaml"], "--params-file: expected in a live run"),
+        (["pick", "--params-file", "nowhere.yaml"], "nowhere.yaml"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

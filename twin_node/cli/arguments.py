@@ -65,6 +65,18 @@ def add_namespace(parser: argparse.ArgumentParser, does: str) -> None:
     parser.add_argument("--namespace", metavar="/NAME", help=f"{does} (default: none)")
 
 
+def add_params_file(parser: argparse.ArgumentParser) -> None:
+    """Parameters of the nodes of a launch file."""
+    parser.add_argument(
+        "--params-file",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.yaml",
+        help="ROS parameter file that wins over the launch file's values; repeatable",
+    )
+
+
 def add_remap(parser: argparse.ArgumentParser) -> None:
     """New names for topics of a log."""
     parser.add_argument(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin_node.cli.arguments import add_namespace
+from twin_node.cli.arguments import add_namespace, add_params_file
 
 if TYPE_CHECKING:
     from twin_node.nodes.launch.launch_file import LaunchPlan
@@ -35,14 +35,7 @@ def add_launch(commands: Any) -> None:
     parser.add_argument(
         "-p", "--param", action="append", default=[], metavar="NODE.KEY:=VALUE", help="set a parameter; repeatable"
     )
-    parser.add_argument(
-        "--params-file",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.yaml",
-        help="ROS parameter file that wins over the launch file's values; repeatable",
-    )
+    add_params_file(parser)
     parser.add_argument(
         "-r", "--remap", action="append", default=[], metavar="FROM:=TO", help="rename a topic of all nodes; repeatable"
     )
@@ -71,11 +64,14 @@ def _launch(options: argparse.Namespace) -> int | None:
     return _run(in_one_process(plan) if options.one_process else plan, options.log_dir)
 
 
-def launch(file: Path, arguments: Sequence[str]) -> int | None:
-    """Runs a launch file's graph until it ends or is interrupted; returns the exit status."""
+def launch(file: Path, arguments: Sequence[str], parameter_files: Sequence[Path] = ()) -> int | None:
+    """Runs a launch file's graph until it ends or is interrupted; returns the exit status.
+
+    `parameter_files`: win over the launch file's values.
+    """
     from twin_node.nodes.launch.launch_file import read_launch_file
 
-    return _run(read_launch_file(file, arguments), None)
+    return _run(read_launch_file(file, arguments, (), parameter_files), None)
 
 
 def _run(plan: LaunchPlan, log_dir: Path | None) -> int | None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin_node.cli.arguments import file_or_name, given_of, positive, seed, width
+from twin_node.cli.arguments import add_params_file, file_or_name, given_of, positive, refuse_given, seed, width
 from twin_node.cli.progress import counted
 from twin_node.errors import TwinError
 
@@ -27,6 +27,7 @@ def add_sim(commands: Any) -> None:
     sim.add_argument("--seed", type=seed, metavar="N", help="other noise, and other motion where it varies")
     sim.add_argument("--duration", type=positive, metavar="S", help="simulate so many seconds")
     sim.add_argument("--width", type=width, metavar="PX", help="width of the images; their shape stays")
+    add_params_file(sim)
     sim.set_defaults(run=_sim)
 
 
@@ -38,6 +39,7 @@ def _sim(options: argparse.Namespace) -> int | None:
         raise TwinError("sim: expected a scenario, found none; 'twin_node sim --list' names those that there are")
     if options.output is None:
         return _live(options)
+    refuse_given(options, ("params_file",), "expected in a live run, without -o; leave one of them out")
     _write(options)
     return None
 
@@ -78,4 +80,4 @@ def _live(options: argparse.Namespace) -> int | None:
     arguments = [f"scenario:={options.scenario}"]
     if options.duration is not None:
         arguments.append(f"duration:={options.duration}")
-    return launch(Path("launch/sim_cell.yaml"), arguments)
+    return launch(Path("launch/sim_cell.yaml"), arguments, options.params_file)
