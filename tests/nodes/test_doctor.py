@@ -291,6 +291,6 @@ def test_what_the_twins_status_warns_of_is_found(monkeypatch: pytest.MonkeyPatch
         send = wire.publisher("twin", topic, kind)
         send(convert.status_to_message(convert.Status(1, (0,) * 5, 0, 1, 0, warnings=tuple(warnings))))
         ends.append(replace(in_namespace(publisher("twin", topic, str(kind.msgtype)), f"/{name}"), qos=LATCHED))
-    wire.endpoints = lambda: tuple(ends)  # type: ignore[method-assign]
+    monkeypatch.setattr(wire, "endpoints", lambda: tuple(ends))
     told = ("/a/twin: WARN: model: it looks like a ur10e", "/a/twin: WARN: light: too dark")
     assert examine(wire, 0.5).faults == told

@@ -58,7 +58,10 @@ _TAUGHT_MARGIN_M = 0.05
 
 @lru_cache
 def _checker(spec: ArmSpec, workspace: tuple[Triple, Triple]) -> ArmCollisionChecker:
-    """One checker per arm and process: its scene takes half a second to build."""
+    """One checker per arm and process: its scene takes half a second to build.
+
+    Where the arm takes hold of a part or lets go, its last link may touch what stands.
+    """
     arm = with_tool(ur_model(spec.model), spec.carried)
     cycle = default_path(arm, np.array(spec.workspace or workspace), spec.cycle)
     allowed = [_region(arm, cycle.at(int(amid)), arm.link_names[-1:]) for amid in cycle.rests.mean(axis=1)]

@@ -187,6 +187,7 @@ class ArmSpec:
 
 
 def require_corners(where: str, workspace: tuple[Triple, Triple]) -> None:
+    """Raises `CellError`, naming `where`, for what is no lower and upper corner of a box (m)."""
     if np.any(np.array(workspace[0]) >= np.array(workspace[1])):
         raise CellError(f"{where}: workspace must be a lower and an upper corner, found {workspace}")
 
