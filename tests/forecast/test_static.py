@@ -105,6 +105,32 @@ def test_depth_is_calmed_where_it_differs_by_noise_alone() -> None:
     assert np.array_equal(calmed[near & ~left], noisy[near & ~left])
 
 
+@pytest.mark.parametrize("is_known", [True, False])
+def test_noisy_ground_is_as_high_as_it_is(is_known: bool) -> None:
+    """Once ten images of it have been averaged; where nobody tells how noisy a camera is, what it measures counts."""
+    noise_m = 0.02
+    rng, carver, space = np.random.default_rng(4), Carver(RigTables(GRID)), StaticSpace(GRID)
+    for tick in range(60):
+        state = state_of(tick * 100_000_000, None, with_depth=True)
+        views = []
+        for seen in state.frames.views:
+            assert seen.depth is not None
+            noisy = seen.depth + noise_m * seen.depth**2 * rng.normal(size=seen.depth.shape)
+            views.append(replace(seen, depth=noisy.astype(np.float32)))
+        told = (noise_m,) * len(views) if is_known else ()
+        state = replace(state, frames=replace(state.frames, views=tuple(views)), depth_noise=told)
+        carver.carve(state, 0.0)
+        found = space.update(state, carver)
+    ground, above, *higher = np.bincount(np.unravel_index(found.indices, GRID.dims)[2], minlength=3)
+    assert ground > 1000
+    if is_known:
+        assert above < 0.2 * ground
+        assert sum(higher) == 0
+    else:
+        assert above > 0.4 * ground
+        assert sum(higher) > 100
+
+
 def test_the_arm_does_not_stand() -> None:
     """Its surface is measured where it hangs still."""
     state, carver, space = state_of(0, None, with_depth=True), Carver(RigTables(GRID)), StaticSpace(GRID)

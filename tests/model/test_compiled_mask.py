@@ -37,6 +37,7 @@ def scene(seed: int, with_depth: bool) -> list[View]:
             image[2:18, left : left + 16], depth[2:18, left : left + 16] = colour, 1.2
             image[6:14, left + 4 : left + 12] = under[6:14, left + 4 : left + 12]
         image = image * (1 + 0.003 * index) + rng.normal(0, 1.5, image.shape)
+        depth += rng.normal(0, 0.004 * (seed % 5), depth.shape) * depth**2
         depth[rng.random(depth.shape) < 0.05] = 0
         rgb = np.clip(image, 0, 255).astype(np.uint8)
         views.append(View(CAMERA, index * 33_000_000, rgb, depth if with_depth else None))
@@ -79,6 +80,7 @@ def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int
     assert np.mean(np.abs(compiled.background - plain.background) > 0.01) < 1e-3
     assert np.count_nonzero(compiled.still_ns != plain.still_ns) <= ROUNDING
     assert np.abs(compiled.colours.ground - plain.colours.ground).sum() < 1e-3 * plain.colours.ground.sum()
+    assert compiled.depth.noise == pytest.approx(plain.depth.noise, rel=1e-3)
     if depth:
         for name in ("known", "measured", "telling", "blind_ns"):
             differs = np.abs(getattr(compiled.depth, name) - getattr(plain.depth, name)) > 1e-5

@@ -11,6 +11,7 @@ from twin_node.forecast.kernel_requests import ReviseRequest
 from twin_node.forecast.kernels import kernels
 from twin_node.native_library import addresses_of
 from twin_node.scene import Bool, Float32, TwinState, View
+from twin_node.scene.depth_noise import MOST_NOISE, NOISE_SIGMAS, noise_slack
 
 UNSEEN = np.float32(1e6)
 """Depth of pixels that have shown nothing but moving things so far, m."""
@@ -19,11 +20,13 @@ UNMEASURED = np.float32(2e6)
 LEARNING_RATE = np.float32(0.1)
 """Share of each new depth that enters a pixel's: averages about ten images of noise."""
 STEP_SHARE = 0.03
-"""A pixel looks past what it showed before where its depth grows by this share, plus `STEP`: 3 sigma of stereo."""
+"""A pixel looks past what it showed before where its depth grows by this share, plus `STEP`: 3 sigma of stereo,
+or by more than its camera's noise where that is known to be more."""
 STEP = 0.02
 """m."""
 NOISE_SHARE, NOISE = 0.01, 0.01
-"""A depth that differs from its mean by no more than this share of it, plus `NOISE` (m), differs by noise."""
+"""A depth that differs from its mean by no more than this share of it, plus `NOISE` (m), differs by noise, of whatever
+camera; of one that is noisier by no more than its own noise."""
 HOLE = 2
 """An unmeasured pixel stands as deep as the deepest that is known within so many pixels: depth cameras miss single
 pixels, and the edges of what stands."""
@@ -36,12 +39,16 @@ class Backdrops:
 
     def __init__(self) -> None:
         self._known: dict[str, Backdrop] = {}
+        self._noise: dict[str, float] = {}
+        """Of each camera's depth, as in `TwinState.depth_noise`."""
 
     def update(self, state: TwinState) -> None:
         """Takes in the depth images of a state; what the moving and robot masks hide stays as it was known."""
         for view, moving, robot in zip(state.frames.views, state.moving_masks, state.robot_masks, strict=True):
             if view.depth is not None:
-                self._known[view.camera.name] = revised(self._of(view).kept, view.depth, moving, robot)
+                name = view.camera.name
+                noise = self._noise[name] = state.depth_noise_of(name)
+                self._known[name] = revised(self._of(view).kept, view.depth, moving, robot, noise)
 
     def of(self, view: View) -> Float32:
         """[H, W] depth of what stands behind each pixel, m; `UNSEEN` where nothing that stands has been seen."""
@@ -59,7 +66,8 @@ class Backdrops:
         """[H, W] the depth that a view measures, m: its mean where the two differ by no more than noise does."""
         assert view.depth is not None
         mean = self._of(view).kept
-        is_noise = np.abs(view.depth - mean) <= NOISE_SHARE * mean + NOISE
+        slack = np.maximum(NOISE_SHARE * mean + NOISE, noise_slack(mean, self._noise.get(view.camera.name, 0.0)))
+        is_noise = np.abs(view.depth - mean) <= slack
         return np.where(is_noise, mean, view.depth)
 
     def _of(self, view: View) -> Backdrop:
@@ -84,24 +92,33 @@ class Backdrop:
     """[H, W] m, the same with such holes filled."""
 
 
-def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
-    """The backdrop [H, W] after one more image, filled too. Compiled; `revised_reference` where that cannot be."""
+def revised(before: Float32, depth: Float32, moving: Bool, robot: Bool | None, noise: float = 0.0) -> Backdrop:
+    """The backdrop [H, W] after one more image, filled too; `noise` of its depth as in `TwinState.depth_noise`.
+
+    Compiled; `revised_reference` where that cannot be.
+    """
     compiled = kernels()
     if compiled is None:
-        return revised_reference(before, depth, moving, robot)
+        return revised_reference(before, depth, moving, robot, noise)
     found, (height, width) = Backdrop(np.empty_like(before), np.empty_like(before)), before.shape
     given = (np.ascontiguousarray(depth, np.float32), *(_bytes(mask) for mask in (moving, robot)), before)
-    sizes, lengths = (width, height, HOLE), (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED)
+    sizes, lengths = (
+        (width, height, HOLE),
+        (STEP_SHARE, LEARNING_RATE, STEP, UNSEEN, UNMEASURED, NOISE_SIGMAS * noise, MOST_NOISE),
+    )
     compiled.run(ReviseRequest(*sizes, *lengths, *addresses_of(*given, found.kept, found.filled)))
     return found
 
 
-def revised_reference(before: Float32, depth: Float32, moving: Bool, robot: Bool | None) -> Backdrop:
+def revised_reference(
+    before: Float32, depth: Float32, moving: Bool, robot: Bool | None, noise: float = 0.0
+) -> Backdrop:
     """What `revised` does."""
     bare = np.ones_like(moving) if robot is None else ~robot
     known = bare & (depth > 0)
-    past = depth > before * (1 + STEP_SHARE) + STEP
-    near = depth > before * (1 - STEP_SHARE) - STEP
+    slack = noise_slack(before, noise)
+    past = depth > np.maximum(before * (1 + STEP_SHARE) + STEP, before + slack)
+    near = depth > np.minimum(before * (1 - STEP_SHARE) - STEP, before - slack)
     drawn = before + np.where(known & ~moving & near, LEARNING_RATE * (depth - before), np.float32(0))
     after = np.where(known & (past | ~(moving | near)), depth, drawn).astype(np.float32)
     holes = bare & ~moving & (depth == 0) & (after == UNSEEN)

@@ -135,7 +135,7 @@ class ReviseRequest(KernelRequest):
     _fields_ = (
         *((name, c_int32) for name in ("width", "height", "reach")),
         ("step_share", c_double),
-        *((name, c_float) for name in ("learning_rate", "step", "unseen", "unmeasured")),
+        *((name, c_float) for name in ("learning_rate", "step", "unseen", "unmeasured", "noise", "most_noise")),
         *((name, c_void_p) for name in ("depth", "moving", "robot", "before", "after", "filled")),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from twin_node.model.ground_depth import LEARNING_RATE, TELLING, GroundDepth
+from twin_node.model.ground_depth import LEARNING_RATE, TELLING, GroundDepth, middle
 from twin_node.scene import Bool, Float32, UInt8, View
 
 CHANGE_SIGMAS = 6.0
@@ -67,6 +67,7 @@ class CameraMask:
         """The mask [H, W] of this view."""
         image = _planes(view.rgb)
         seen = seen_by(view, robot)
+        self.depth.measure_noise(view, seen & ~self.mask)
         gain = _gain(image, self.background, seen & ~self.mask & self.known)
         self._meet(image / gain, view, seen & ~self.known & ~self.depth.stands_before(view, seen))
         free = seen & ~self.mask
@@ -141,7 +142,7 @@ class CameraMask:
         change = _difference(image, reference * _gain(image, reference, free))
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50:
-            self.sigma += 0.05 * (max(0.5, 1.48 * float(_middle(sample))) - self.sigma)
+            self.sigma += 0.05 * (max(0.5, 1.48 * float(middle(sample))) - self.sigma)
         last_stamp, last = self.past[-1]
         quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
         self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
@@ -317,11 +318,5 @@ def _gain(image: Float32, reference: Float32, free: Bool) -> Float32:
     if np.count_nonzero(where) < 50:
         return np.ones((3, 1, 1), np.float32)
     ratios = (image[:, ::4, ::4][:, where] + 4) / (reference[:, ::4, ::4][:, where] + 4)
-    gain: Float32 = _middle(ratios)[:, None, None]
+    gain: Float32 = middle(ratios)[:, None, None]
     return gain
-
-
-def _middle(values: Float32) -> Float32:
-    """The upper median [...] of values [..., n]: `np.median` takes ten times as long on so few."""
-    half = values.shape[-1] // 2
-    return np.partition(values, half, axis=-1)[..., half]

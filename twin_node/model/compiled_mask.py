@@ -28,6 +28,7 @@ from twin_node.model.kernel_requests import MaskRequest, MaskRequests, MaskRules
 from twin_node.model.kernels import kernels
 from twin_node.native_library import address_of, addresses_of, array_of, thread_count
 from twin_node.scene import Bool, Float32, View
+from twin_node.scene.depth_noise import MOST_NOISE, NOISE_SIGMAS
 
 LARGEST_CLOSING = 31
 """Radius in pixels of the widest gaps that the kernels close, those of an image 1050 pixels high."""
@@ -57,6 +58,7 @@ class _Call:
         self._stamp = view.stamp
         self._image: Float32 = np.empty((3, *camera.shape), np.float32)
         self._sigma, self._bared = np.array([camera.sigma]), np.array([camera.bared])
+        self._depth_noise = np.array([camera.depth.noise])
         self._rules = _rules(camera.closing)
         last_stamp, last = camera.past[-1]
         depth = camera.depth
@@ -69,7 +71,7 @@ class _Call:
             self._image,
             *(camera.background, depth.known, depth.measured, depth.telling, depth.blind_ns, camera.still_ns),
             *(camera.known, camera.trusted, camera.confirmed, camera.mask),
-            *(camera.colours.ground, camera.colours.moving, self._sigma, self._bared),
+            *(camera.colours.ground, camera.colours.moving, self._sigma, self._bared, self._depth_noise),
         ]
         height, width = camera.shape
         sizes = (width, height, depth.is_silent(view), view.stamp - last_stamp)
@@ -78,6 +80,7 @@ class _Call:
     def end(self) -> Bool:
         """Takes over what the kernel has found; returns the mask."""
         self._camera.sigma, self._camera.bared = float(self._sigma[0]), float(self._bared[0])
+        self._camera.depth.noise = float(self._depth_noise[0])
         self._camera.remember(self._stamp, self._image)
         return self._camera.mask.copy()
 
@@ -86,7 +89,7 @@ def _rules(closing: NDArray[np.uint8]) -> MaskRules:
     return MaskRules(
         *(CHANGE_SIGMAS, CHANGE_LEVELS, SETTLE_NS, SMALLEST_AREA, SHADOW_DARKEST, REFLECTION_BRIGHTEST),
         *(GROUND_CERTAINTY, GROUND_LIKELIHOOD, GROUND_AROUND),
-        *(LEARNING_RATE, DEPTH_LEVELS, TELLING, LOST_NS),
+        *(LEARNING_RATE, DEPTH_LEVELS, NOISE_SIGMAS, MOST_NOISE, TELLING, LOST_NS),
         GROWTH_PIXELS,
         closing.shape[0] // 2,
         address_of(closing),

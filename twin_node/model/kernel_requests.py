@@ -17,7 +17,10 @@ class MaskRules(ctypes.Structure):
         *((name, c_double) for name in ("change_sigmas", "change_levels", "settle_ns", "smallest_area")),
         *((name, c_double) for name in ("shadow_darkest", "reflection_brightest")),
         *((name, c_double) for name in ("ground_certainty", "ground_likelihood", "ground_around")),
-        *((name, c_double) for name in ("learning_rate", "depth_levels", "telling", "lost_ns")),
+        *(
+            (name, c_double)
+            for name in ("learning_rate", "depth_levels", "noise_sigmas", "most_noise", "telling", "lost_ns")
+        ),
         *((name, c_int32) for name in ("rings", "closing")),
         ("kernel", c_void_p),
     )
@@ -33,7 +36,7 @@ class MaskRequest(ctypes.Structure):
         *((name, c_void_p) for name in ("smooth", "seen", "reference", "last", "measured", "image")),
         *((name, c_void_p) for name in ("background", "depth", "measured_last", "telling", "blind_ns", "still_ns")),
         *((name, c_void_p) for name in ("known", "trusted", "confirmed", "mask")),
-        *((name, c_void_p) for name in ("ground", "moving", "sigma", "bared")),
+        *((name, c_void_p) for name in ("ground", "moving", "sigma", "bared", "depth_noise")),
     )
 
 

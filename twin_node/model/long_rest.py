@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.model.camera_mask import CHANGE_LEVELS, CHANGE_SIGMAS, CameraMask, seen_by
-from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
 from twin_node.scene import Bool, Float32, View
 
 STANDS_NS = 20_000_000_000
@@ -103,7 +102,7 @@ class _Shown:
         threshold = max(CHANGE_LEVELS, CHANGE_SIGMAS * camera.sigma)
         changed = _differs(image, self._image, threshold)
         if depth is not None:
-            apart = np.abs(depth - self.depth) > DEPTH_LEVELS * self.depth + NEAR_M
+            apart = np.abs(depth - self.depth) > camera.depth.slack(self.depth)
             apart &= (depth > 0) & (self.depth > 0)
             changed |= cv2.morphologyEx(apart.astype(np.uint8), cv2.MORPH_OPEN, _CROSS) > 0
         changed &= seen

@@ -59,6 +59,11 @@ class MovingMask:
         is_recent = self._bared_at is not None and self._stamp - self._bared_at <= BARED_NS
         return (_STOOD,) if is_recent else ()
 
+    def depth_noise_of(self, view: View) -> float:
+        """1 sigma of the depth of a view's camera at 1 m, m; 0 until it has been measured."""
+        known = self._cameras.get(view.camera.name)
+        return 0.0 if known is None else known.mask.depth.noise
+
     def update(self, frames: FrameSet, robot_masks: Sequence[Bool | None]) -> tuple[Bool, ...]:
         """Masks [H, W] per view of `frames`, True where something moves or has moved; the robot is left out.
 
@@ -75,7 +80,7 @@ class MovingMask:
         cameras = [one.mask for one in known]
         self._set_down.heed(frames)
         left = [
-            None if robot is None else self._set_down.left(view, robot, camera.ground_depth)
+            None if robot is None else self._set_down.left(view, robot, camera)
             for view, robot, camera in zip(views, robots, cameras, strict=True)
         ]
         given = list(zip(cameras, views, robots, strict=True))

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin_node.geometry import transform
+from twin_node.model.camera_mask import CameraMask
 from twin_node.model.capsules import nearest_capsules
-from twin_node.model.ground_depth import DEPTH_LEVELS, NEAR_M
+from twin_node.model.ground_depth import GroundDepth
 from twin_node.model.long_rest import hands
 from twin_node.model.rays import points_at
 from twin_node.robot import ArmModel, forward_kinematics, place_capsules
@@ -43,7 +44,7 @@ NEVER = np.iinfo(np.int64).max // 2
 
 Pixels = NDArray[np.intp]
 """[n] rows, or columns, of pixels."""
-IsLeft = Callable[[Pixels, Pixels, Float64], Bool]
+IsLeft = Callable[[Pixels, Pixels, Float32], Bool]
 """[n] of rows and columns, and of the depth of the ground that was known there, m."""
 
 
@@ -81,20 +82,20 @@ class SetDown:
         recent = self._places[-MOST_PLACES:]
         self._places = [place for place in recent if place is recent[-1] or place.may_tell(frames.stamp)]
 
-    def left(self, view: View, robot: Bool, ground: Float32) -> Bool | None:
+    def left(self, view: View, robot: Bool, camera: CameraMask) -> Bool | None:
         """[H, W] what a view shows of what the tool has left where it rested; None where there can be nothing.
 
-        `robot`: [H, W] the arm in it; `ground`: [H, W] m, how deep it was known to be before this view, 0
-        where that was not. Called once per view after `heed`.
+        `robot`: [H, W] the arm in it; `camera`: what is known of the camera before this view. Called once per view
+        after `heed`.
         """
         if not self._places:
             return None
         gone = self._places[:-1] if self._rests else self._places
         if self._rests:
-            self._places[-1].hide(view, robot, ground)
+            self._places[-1].hide(view, robot, camera.ground_depth)
         found = np.zeros_like(robot)
         for place in gone:
-            place.bare(view, robot, found)
+            place.bare(view, robot, camera.depth, found)
         return found if found.any() else None
 
     def things(self, views: Sequence[View], masks: Sequence[Bool], left: Sequence[Bool | None]) -> list[Bool | None]:
@@ -172,25 +173,25 @@ class _Place:
             self._hidden[name] = _Hidden(robot.shape, around(view.camera, self.ends, self.radii))
         self._hidden[name].hide(robot, ground)
 
-    def bare(self, view: View, robot: Bool, found: Bool) -> None:
-        """Adds to `found` [H, W] what a view shows in the tool's space of then, or behind ground that was there, where
-        the arm hid it until of late; that is at `robot` now."""
+    def bare(self, view: View, robot: Bool, ground: GroundDepth, found: Bool) -> None:
+        """Adds to `found` [H, W] what a view shows in the tool's space of then, or behind `ground` that was there,
+        where the arm hid it until of late; that is at `robot` now."""
         hidden = self._hidden.get(view.camera.name)
         if hidden is not None and hidden.shape == robot.shape and view.depth is not None and hidden.is_watched:
             seen = ~robot if view.valid is None else view.valid & ~robot
-            hidden.bare(view, seen, partial(self._is_left, view), found)
+            hidden.bare(view, seen, partial(self._is_left, view, ground), ground, found)
 
     def is_near(self, points: Float64) -> bool:
         """Whether any of the points [3, n] (m) is at the place."""
         return bool((nearest_capsules(self.ends, self.radii, points).gaps < BESET_M).any())
 
-    def _is_left(self, view: View, rows: Pixels, columns: Pixels, known: Float64) -> Bool:
+    def _is_left(self, view: View, ground: GroundDepth, rows: Pixels, columns: Pixels, known: Float32) -> Bool:
         """[n] which pixels show what was in the tool, or are bared since the tool has taken what was before them: by
         what was `known` [n] of the ground there, m."""
         assert view.depth is not None
         depth = view.depth[rows, columns].astype(np.float64)
-        taken = (known > 0) & (depth > known * (1 + DEPTH_LEVELS) + NEAR_M)
-        taken &= self._holds(view.camera, rows, columns, known)
+        taken = (known > 0) & (depth > known + ground.slack(known))
+        taken &= self._holds(view.camera, rows, columns, known.astype(np.float64))
         return taken | self._holds(view.camera, rows, columns, depth)
 
     def _holds(self, camera: Camera, rows: Pixels, columns: Pixels, depth: Float64) -> Bool:
@@ -229,8 +230,9 @@ class _Hidden:
         self._ground[comes] = ground[self._box][comes]
         self._arm |= comes
 
-    def bare(self, view: View, seen: Bool, is_left: IsLeft, found: Bool) -> None:
-        """Adds to `found` [H, W] what was left, of what is `seen` [H, W] in a view; `is_left` tells it of pixels."""
+    def bare(self, view: View, seen: Bool, is_left: IsLeft, ground: GroundDepth, found: Bool) -> None:
+        """Adds to `found` [H, W] what was left, of what is `seen` [H, W] in a view; `is_left` tells it of pixels,
+        and `ground` how well the camera measures."""
         assert view.depth is not None
         seen, depth = seen[self._box], view.depth[self._box]
         bared = self._arm & seen
@@ -238,12 +240,12 @@ class _Hidden:
         told = bared & (depth > 0)
         rows, columns = np.nonzero(told)
         if len(rows):
-            known = self._ground[rows, columns].astype(np.float64)
+            known = self._ground[rows, columns]
             left = is_left(rows + self._box[0].start, columns + self._box[1].start, known)
             rows, columns = rows[left], columns[left]
             self._depth[rows, columns] = depth[rows, columns]
         since = view.stamp - self._bared_at
         self._arm &= ~(told | (bared & (since > BLIND_NS)))
-        apart = np.abs(depth - self._depth) > DEPTH_LEVELS * self._depth + NEAR_M
+        apart = np.abs(depth - self._depth) > ground.slack(self._depth)
         self._depth[(since > SHADED_NS) | (seen & (depth > 0) & apart)] = 0
         found[self._box] |= seen & (self._depth > 0)

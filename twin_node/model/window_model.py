@@ -201,6 +201,7 @@ class WindowModel:
             tuple(line for one in warned for line in one.warnings),
             levelled.exposures,
             None if is_first else model.stamp,
+            tuple(map(self._mask.depth_noise_of, frames.views)),
         )
 
     def follow(self, seen: TwinState, left_s: LeftS = endless) -> TwinState:

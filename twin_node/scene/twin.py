@@ -140,11 +140,19 @@ class TwinState:
     """Per view how its camera was exposed; empty: all as the model is."""
     followed: int | None = None
     """Stamp (ns) of the set that Gaussians and nodes follow, where that is an older one; None: they follow this one."""
+    depth_noise: tuple[float, ...] = ()
+    """Per view 1 sigma of its camera's depth at 1 m, m, growing with the square of the depth, as measured; 0 where that
+    is not known. Empty: of none."""
 
     @property
     def model_stamp(self) -> int:
         """Stamp of the set that Gaussians and nodes follow, ns."""
         return self.stamp if self.followed is None else self.followed
+
+    def depth_noise_of(self, camera: str) -> float:
+        """1 sigma of a camera's depth at 1 m, m; 0 where that is not known."""
+        known = zip(self.frames.views, self.depth_noise, strict=False)
+        return next((noise for view, noise in known if view.camera.name == camera), 0.0)
 
     def exposure_of(self, camera: str) -> Exposure:
         """How a camera was exposed; `PLAIN` where that is not known."""

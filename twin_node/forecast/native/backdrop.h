@@ -18,7 +18,11 @@ FORECAST_ROUNDED inline void revise(const ReviseRequest &r, const IsRobot &is_ro
   for (int64_t i = 0; i < pixels; i++) {
     const float before = r.before[i], depth = r.depth[i];
     const bool bare = !is_robot(i), moving = r.moving[i] != 0, known = bare & (depth > 0);
-    const bool past = depth > before * above + r.step, near = depth > before * below - r.step;
+    const float growing = r.noise * before, slack = (growing < r.most_noise ? growing : r.most_noise) * before;
+    const float farther = before * above + r.step, nearer = before * below - r.step;
+    const float past_noise = before + slack, near_noise = before - slack;
+    const bool past = depth > (farther < past_noise ? past_noise : farther);
+    const bool near = depth > (near_noise < nearer ? near_noise : nearer);
     const float step = r.learning_rate * (depth - before), drawn = before + (known & !moving & near ? step : 0.0f);
     const float revised = known & (past | !(moving | near)) ? depth : drawn;
     r.after[i] = bare & !moving & (depth == 0) & (revised == r.unseen) ? r.unmeasured : revised;

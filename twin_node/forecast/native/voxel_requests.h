@@ -127,7 +127,7 @@ struct LookRequest {
 struct ReviseRequest {
   int32_t width, height, reach;   // pixels within which others tell of those that are not measured
   double step_share;
-  float learning_rate, step, unseen, unmeasured;
+  float learning_rate, step, unseen, unmeasured, noise, most_noise;
   const float *depth;             // [height, width] m
   const uint8_t *moving, *robot;  // [height, width] 1: moves, is the arm; null: none
   const float *before;            // [height, width] m

@@ -11,6 +11,7 @@
 namespace model {
 
 constexpr double kNearM = 0.01;
+constexpr double kSigmaOfDifference = 1.48 / 1.4142135623730951;
 static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
 static const Kernel kSquare = {{-1, 1}, {0, 1}, {1, 1}};  // and the eight around it
 
@@ -19,6 +20,24 @@ class GroundDepth {
  public:
   explicit GroundDepth(const MaskRequest &request)
       : r_(request), p_(*request.rules), pixels_(static_cast<int64_t>(request.width) * request.height) {}
+
+  // Takes in how much what is free differs from the depth that was measured there before.
+  void measure_noise() {
+    if (r_.measured == nullptr) return;
+    const float near = static_cast<float>(kNearM);
+    std::vector<float> sample;
+    for (int row = 0; row < r_.height; row += kSampled) {
+      for (int column = 0; column < r_.width; column += kSampled) {
+        const int64_t at = static_cast<int64_t>(row) * r_.width + column;
+        const float now = r_.measured[at], before = r_.measured_last[at];
+        if (!r_.seen[at] || r_.mask[at] || !(now > near) || !(before > near)) continue;
+        sample.push_back(std::fabs(now - before) / (before * before));
+      }
+    }
+    if (sample.size() <= kLeastSample) return;
+    double &noise = *r_.depth_noise;
+    noise += (noise > 0 ? kNoiseShare : 1.) * (kSigmaOfDifference * middle(sample) - noise);
+  }
 
   // Takes what is measured where a pixel is seen for the first time.
   void meet(int64_t at) {
@@ -73,7 +92,7 @@ class GroundDepth {
   Mask come_in_front() const {
     Mask come(pixels_, 0);
     if (r_.measured == nullptr) return come;
-    const Before is_before = before();
+    const Slack slack = this->slack();
     const float *measured = r_.measured, *last = r_.measured_last;
     const uint8_t *in_front = in_front_.data();
     uint8_t *out = come.data();
@@ -82,7 +101,7 @@ class GroundDepth {
     for (int64_t at = 0; at < end; at++) {
       // What only comes nearer may be the background itself.
       const float now = measured[at], before = last[at];
-      const uint8_t is_told = (before > 0) & (now > 0), has_come = is_before(now, before);
+      const uint8_t is_told = (before > 0) & (now > 0), has_come = now < before - slack(before);
       out[at] = in_front[at] & ((is_told ^ 1) | has_come);
     }
     come = dilated(come.data(), r_.width, r_.height, kCross);
@@ -96,8 +115,8 @@ class GroundDepth {
   // Draws the ground towards what is measured, by shares `rates`, above 0 where a pixel is free.
   void learn(const std::vector<float> &rates) {
     if (r_.measured == nullptr) return;
-    const float learning_rate = static_cast<float>(p_.learning_rate), near = static_cast<float>(kNearM);
-    const float farther = static_cast<float>(1 + p_.depth_levels);
+    const float learning_rate = static_cast<float>(p_.learning_rate);
+    const Slack slack = this->slack();
     const float *__restrict__ measured = r_.measured, *__restrict__ rate = rates.data();
     float *__restrict__ ground = r_.depth, *__restrict__ last = r_.measured_last;
     const int64_t end = pixels_;
@@ -107,19 +126,26 @@ class GroundDepth {
       const float behind = before < now ? before : now, at_least = free < learning_rate ? learning_rate : free;
       const float share = depth == 0.f ? (free > 0 ? 1.f : 0.f) : (now > depth ? at_least : free);
       const float drawn = depth + share * (now - depth);
-      const float next = (depth > 0) & (behind > depth * farther + near) ? behind : drawn;
+      const float next = (depth > 0) & (behind > depth + slack(depth)) ? behind : drawn;
       ground[at] = now > 0 ? next : depth;
       last[at] = now > 0 ? now : before;
     }
   }
 
  private:
-  // Whether one depth is clearly less than another, both known.
-  struct Before {
-    float share, near;
-    bool operator()(float depth, float other) const { return depth < other * share - near; }
+  // Smallest change that counts of a depth that this camera measures.
+  struct Slack {
+    float share, near, noise, most;
+    float operator()(float depth) const {
+      const float least = share * depth + near, growing = noise * depth;
+      const float noisy = (growing < most ? growing : most) * depth;
+      return least < noisy ? noisy : least;
+    }
   };
-  Before before() const { return {static_cast<float>(1 - p_.depth_levels), static_cast<float>(kNearM)}; }
+  Slack slack() const {
+    return {static_cast<float>(p_.depth_levels), static_cast<float>(kNearM),
+            static_cast<float>(p_.noise_sigmas * *r_.depth_noise), static_cast<float>(p_.most_noise)};
+  }
 
   template <class Measured>
   void look(const Measured &is_measured, float rate) {
@@ -145,13 +171,13 @@ class GroundDepth {
   template <class Depth>
   Mask nearer_than_ground(const Depth &depth_at) const {
     Mask nearer(pixels_);
-    const Before is_before = before();
+    const Slack slack = this->slack();
     const float *__restrict__ ground = r_.depth;
     const uint8_t *__restrict__ seen = r_.seen;
     uint8_t *__restrict__ out = nearer.data();
     for (int64_t at = 0, end = pixels_; at < end; at++) {
       const float depth = depth_at(at), behind = ground[at];
-      out[at] = seen[at] & (depth > 0) & (behind > 0) & is_before(depth, behind);
+      out[at] = seen[at] & (depth > 0) & (behind > 0) & (depth < behind - slack(behind));
     }
     return nearer;
   }

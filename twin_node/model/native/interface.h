@@ -14,7 +14,8 @@ constexpr int kRowsPerTask = 32;  // of an image whose pixels are independent
 // What counts as change; see `camera_mask.py`. Levels are those of 8-bit images.
 struct MaskRules {
   double change_sigmas, change_levels, settle_ns, smallest_area, shadow_darkest, reflection_brightest;
-  double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels, telling, lost_ns;
+  double ground_certainty, ground_likelihood, ground_around, learning_rate, depth_levels, noise_sigmas, most_noise;
+  double telling, lost_ns;
   int32_t rings;    // of uncovered ground that are found per image
   int32_t closing;  // radius of the kernel that closes gaps, pixels
   const uint8_t *kernel;  // [2 closing + 1, 2 closing + 1]
@@ -40,6 +41,7 @@ struct MaskRequest {
   double *ground, *moving;      // [4096] how often each colour was free ground, and a moving thing
   double *sigma;                // [1] noise of the images, levels
   double *bared;                // [1] pixels of late that something moved off which had been there from the start
+  double *depth_noise;          // [1] 1 sigma at 1 m, m; 0 until it has been measured
 };
 
 struct MaskRequests {

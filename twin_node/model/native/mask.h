@@ -14,9 +14,8 @@
 
 namespace model {
 
-constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians look at one, and of how many at least
 constexpr float kDark = 4.f;                    // levels added to both sides of a ratio: black tells nothing
-constexpr double kNoiseShare = 0.05, kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
+constexpr double kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
 constexpr double kQuiet = 0.7, kAlike = 0.6;
 constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
@@ -40,6 +39,7 @@ class MaskUpdate {
         bin_(pixels_) {}
 
   void run() {
+    depth_.measure_noise();
     unpack();
     gain_ = gain(background_, [&](int64_t at) { return r_.seen[at] && !r_.mask[at] && r_.known[at]; });
     expose();

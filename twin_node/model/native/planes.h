@@ -10,6 +10,9 @@
 
 namespace model {
 
+constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians look at one, and of how many at least
+constexpr double kNoiseShare = 0.05;            // of each new image in what is known of a camera's noise
+
 using Gains = std::array<float, 3>;
 
 struct Planes {
