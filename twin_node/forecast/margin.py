@@ -19,7 +19,7 @@ class Margin:
     def __init__(self, inner: Grid, width_m: float, most_voxels: int = MOST_VOXELS) -> None:
         """`width_m`: of the rim; less where the larger grid would exceed `most_voxels`.
 
-        None below: under a workspace lies a table or the floor.
+        None below: under most of a workspace lies a table or the floor, and who comes up beside a table is seen late.
         """
         rim = int(np.ceil(width_m / inner.voxel_size))
         while rim > 0 and np.prod(np.array(inner.dims) + rim * _SIDES) > most_voxels:
