@@ -164,6 +164,8 @@ def test_a_scenario_may_extend_one_that_extends_another(tmp_path: Path) -> None:
         ({"cameras": [CAMERA], "sensing": {"rate_hz": 1e9, "jitter_ms": 0.0}}, "rate_hz"),
         ({"cameras": [CAMERA], "sensing": {"rgb_sigma": -1.0}}, "rgb_sigma"),
         ({"cameras": [CAMERA], "sensing": {"depth_sigma_at_1m_mm": -2.0}}, "depth_sigma_at_1m_mm"),
+        ({"cameras": [CAMERA], "sensing": {"depth_noise_px": -1.0}}, "depth_noise_px"),
+        ({"cameras": [CAMERA], "sensing": {"depth_noise_px": 51.0}}, "depth_noise_px"),
         ({"cameras": [CAMERA], "sensing": {"depth_dropout": 5.0}}, "depth_dropout"),
         ({"cameras": [CAMERA], "sensing": {"edge_dropout": -0.1}}, "edge_dropout"),
         ({"cameras": [CAMERA], "arm": {"joint_rate_hz": -125.0}}, "joint_rate_hz"),

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from twin_node.cell import CellError, CellSource, Scenario, SimulatedRig
+from twin_node.cell import CellError, CellSource, Scenario, SimulatedRig, load_scenario
 from twin_node.cell.rendering import Rendering
-from twin_node.cell.scenario import UNSORTED_STEP_NS, Fault, Sensing
+from twin_node.cell.scenario import MOST_SHARED_PX, UNSORTED_STEP_NS, Fault, Sensing
 from twin_node.cell.sensor import LENS_SIGMA_PX, sense
 from twin_node.model.rays import back_project
 from twin_node.robot import forward_kinematics, robot_mask
@@ -97,6 +97,31 @@ def test_noise_that_is_drawn_once_is_each_image_s_own(small: Scenario) -> None:
     assert noises[0].std() == pytest.approx(small.sensing.rgb_sigma, rel=0.15)
     assert abs(np.corrcoef(*noises)[0, 1]) < 0.1
     assert not np.array_equal(noises[0], noises[1])
+
+
+@pytest.mark.parametrize("sigma_px", [0.3, 2.0, 5.0])
+def test_noise_that_hangs_together_is_as_strong_and_shared_with_neighbours(sigma_px: float) -> None:
+    """Of Gaussian weights two pixels a distance d apart share exp(-d^2 / 4 sigma^2)."""
+    depth = np.full((200, 300), 2.0, np.float32)
+    rendering = Rendering(np.zeros((200, 300, 3), np.uint8), depth, np.zeros((200, 300), np.int16))
+    sensing = Sensing(depth_sigma_at_1m_mm=10.0, depth_noise_px=sigma_px, depth_dropout=0.0)
+    off = sense("one", 0, rendering, sensing, np.random.default_rng(0)).depth_mm.astype(np.float64) - 2000
+    assert off.std() == pytest.approx(40, rel=0.1)
+    for shifted in (off[:, 2:] * off[:, :-2], off[2:] * off[:-2]):
+        assert shifted.mean() / off.var() == pytest.approx(np.exp(-1 / sigma_px**2), abs=0.05)
+
+
+def test_noise_of_the_smallest_images_hangs_together_too() -> None:
+    rendering = Rendering(np.zeros((1, 4, 3), np.uint8), np.ones((1, 4), np.float32), np.zeros((1, 4), np.int16))
+    image = sense("one", 0, rendering, Sensing(depth_noise_px=50.0, depth_dropout=0.0), np.random.default_rng(0))
+    assert image.depth_mm.shape == (1, 4) and (np.abs(image.depth_mm.astype(int) - 1000) < 100).all()
+
+
+def test_narrower_images_share_as_much_of_their_noise() -> None:
+    demo = load_scenario("demo")
+    wide = replace(demo, sensing=replace(demo.sensing, depth_noise_px=2.0))
+    assert wide.at_width(demo.sensing.width // 2).sensing.depth_noise_px == 1.0
+    assert wide.at_width(16_000).sensing.depth_noise_px <= MOST_SHARED_PX
 
 
 def test_depth_that_16_bits_do_not_hold_is_unknown() -> None:

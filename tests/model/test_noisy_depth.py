@@ -89,13 +89,13 @@ def test_noise_counts_for_a_share_of_a_depth_at_most() -> None:
     assert not noise_slack(depths, 0.0).any()
 
 
-@pytest.mark.parametrize("sigma_mm", [4.0, 8.0])
-def test_nothing_moves_where_an_arm_works_alone_before_noisy_cameras(sigma_mm: float) -> None:
+@pytest.mark.parametrize(("sigma_mm", "shared_px"), [(4.0, 0.0), (8.0, 0.0), (2.0, 1.5), (6.0, 1.5)])
+def test_nothing_moves_where_an_arm_works_alone_before_noisy_cameras(sigma_mm: float, shared_px: float) -> None:
     """The arm's rims, and what it puts down and takes up, included."""
     pick = load_scenario("pick").at_width(160)
     assert pick.arm is not None
     arm = replace(pick.arm, cycle=replace(pick.arm.cycle, speed=3.0, acceleration=8.0, dwell_s=0.3))
-    sensing = replace(pick.sensing, rate_hz=15.0, depth_sigma_at_1m_mm=sigma_mm)
+    sensing = replace(pick.sensing, rate_hz=15.0, depth_sigma_at_1m_mm=sigma_mm, depth_noise_px=shared_px)
     source = CellSource(replace(pick, arm=arm, cameras=pick.cameras[:2], duration_s=4.0, sensing=sensing))
     assert source.simulated.world.arm is not None
     mask = ModelMasks(source.simulated.world.arm.model)

@@ -18,6 +18,8 @@ FAULTS = ("nan_depth", "unsorted_stamps", "missing", "frozen", "bumped")
 UNSORTED_STEP_NS = 50_000_000
 """How early every second image is stamped under the fault `unsorted_stamps`."""
 
+MOST_SHARED_PX = 50.0
+"""Pixels that depth noise may hang together over, 1 sigma."""
 MOST_VOXELS = 100_000_000
 """Of the recorded truth: more are lengths in millimetres, or voxels smaller than anybody looks at."""
 
@@ -97,6 +99,8 @@ class Sensing:
     """1 sigma of the colour noise, levels of 255."""
     depth_sigma_at_1m_mm: float = 2.0
     """1 sigma of the depth noise at 1 m; grows with the square of the depth, as for stereo (Khoshelham 2012)."""
+    depth_noise_px: float = 0.0
+    """How far that hangs together, 1 sigma, pixels: a stereo matcher compares windows. 0: each pixel has its own."""
     depth_dropout: float = 0.005
     """Share of depth pixels without a value anywhere."""
     edge_dropout: float = 0.5
@@ -116,6 +120,7 @@ class Sensing:
             exposure_ms=late,
             rgb_sigma=noise,
             depth_sigma_at_1m_mm=noise,
+            depth_noise_px=Range(0, MOST_SHARED_PX),
             depth_dropout=SHARE,
             edge_dropout=SHARE,
         )
@@ -233,8 +238,9 @@ class Scenario:
 
     def at_width(self, width: int) -> Scenario:
         """The same scenario by cameras whose images are so wide, px, and keep their shape."""
-        height = max(round(self.sensing.height * width / self.sensing.width), 1)
-        return replace(self, sensing=replace(self.sensing, width=width, height=height))
+        sensing, share = self.sensing, width / self.sensing.width
+        height, shared_px = max(round(sensing.height * share), 1), min(sensing.depth_noise_px * share, MOST_SHARED_PX)
+        return replace(self, sensing=replace(sensing, width=width, height=height, depth_noise_px=shared_px))
 
 
 def _require_names(where: str, kind: str, names: list[str]) -> None:

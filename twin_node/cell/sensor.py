@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -119,7 +120,7 @@ def _noisy_rgb(rgb: UInt8, sensing: Sensing, chances: Noise) -> UInt8:
 
 
 def _noisy_depth(depth: Float32, sensing: Sensing, chances: Noise) -> NDArray[np.uint16]:
-    noise = chances.standard_normal(depth.shape, dtype=np.float32)
+    noise = _hanging_together(chances.standard_normal(depth.shape, dtype=np.float32), sensing.depth_noise_px)
     chance = chances.random(depth.shape, dtype=np.float32)
     around = np.ones((3, 3), np.uint8)
     lowest, highest = (np.asarray(of(depth, around), np.float32) for of in (cv2.erode, cv2.dilate))
@@ -138,3 +139,13 @@ def _noisy_depth(depth: Float32, sensing: Sensing, chances: Noise) -> NDArray[np
     )
     compiled.run(request)
     return sensed
+
+
+def _hanging_together(noise: Float32, sigma_px: float) -> Float32:
+    """Noise [H, W] of deviation 1 that its neighbours share, as far as 1 sigma in pixels."""
+    if sigma_px == 0:
+        return noise
+    reach = 2 * math.ceil(3 * sigma_px) + 1
+    weights = cv2.getGaussianKernel(reach, sigma_px)
+    shared = cv2.sepFilter2D(noise, -1, weights, weights, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(shared / np.float32((weights**2).sum()), np.float32)

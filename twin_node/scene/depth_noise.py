@@ -6,7 +6,7 @@ import numpy as np
 
 from twin_node.scene.arrays import Float32
 
-NOISE_SIGMAS = 4.0
+NOISE_SIGMAS = 5.0
 """Of a camera's own noise: by less than so much of it depths differ by chance."""
 MOST_NOISE = 0.25
 """Share of a depth beyond which it would tell nothing: noise counts for no more, however far away."""
