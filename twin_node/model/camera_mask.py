@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from twin_node.model.ground_depth import LEARNING_RATE, TELLING, GroundDepth, middle
+from twin_node.model.ground_depth import LEARNING_RATE, TELLING, GroundDepth, middle, with_noise
 from twin_node.scene import Bool, Float32, UInt8, View
 
 CHANGE_SIGMAS = 6.0
 """A pixel has changed when it differs by this many times the image's own noise (1 sigma, measured)."""
 CHANGE_LEVELS = 9.0
 """Smallest difference that counts, in 8-bit levels: below it lie compression artefacts."""
+LEAST_NOISE, MOST_FIRST_NOISE = 0.5, 20.0
+"""What an image's noise is taken to be at least, and by the first two images at most, 1 sigma, levels."""
 BASELINE_NS = 100_000_000
 """An image is compared with one this much older: slow limbs move a pixel in 100 ms, not between two frames."""
 SETTLE_NS = 120_000_000
@@ -52,7 +54,7 @@ class CameraMask:
         self.confirmed = np.zeros(self.shape, np.bool_)  # was covered once, and is known to be ground since
         self.mask = np.zeros(self.shape, np.bool_)
         self.still_ns = np.zeros(self.shape, np.float32)
-        self.sigma = CHANGE_LEVELS / CHANGE_SIGMAS
+        self.sigma = 0.0  # noise, levels; 0 until there are two images
         self.bared = 0.0  # pixels of late that something moved off which had been there from the start; without depth
         self.past: deque[tuple[int, Float32]] = deque([(view.stamp, self.background.copy())])
         self.closing = _disk(max(1, round(GAP * min(self.shape))))
@@ -140,10 +142,11 @@ class CameraMask:
         """Pixels that look as they did one baseline ago and have been still since; measures the noise on the way."""
         reference = self.reference(stamp)
         change = _difference(image, reference * _gain(image, reference, free))
-        sample = change[::4, ::4][free[::4, ::4]]
-        if sample.size > 50:
-            self.sigma += 0.05 * (max(0.5, 1.48 * float(middle(sample))) - self.sigma)
         last_stamp, last = self.past[-1]
+        sample = change[::4, ::4][free[::4, ::4]]
+        if sample.size > 50 and stamp > last_stamp:
+            noise = max(LEAST_NOISE, 1.48 * float(middle(sample)))
+            self.sigma = with_noise(self.sigma, noise, MOST_FIRST_NOISE)
         quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
         self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self.remember(stamp, image)

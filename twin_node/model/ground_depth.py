@@ -17,7 +17,9 @@ DEPTH_LEVELS = 0.02
 NEAR_M = 0.01
 """Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
 NOISE_SHARE = 0.05
-"""Share of each new image in what is known of the noise."""
+"""Share of each new image in what is known of its camera's noise."""
+MOST_FIRST_NOISE = 0.05
+"""Most that the first two images count for, m at 1 m: more is no noise, something has happened in between."""
 SAMPLED, LEAST_SAMPLE = 4, 50
 """Every how many pixels, each way, the noise is measured, and of how many at least."""
 TELLING = 0.5
@@ -82,7 +84,7 @@ class GroundDepth:
             now, before = now[both], before[both]
             apart = (np.abs(now - before) / (before * before)).astype(np.float32)
             sigma = SIGMA_OF_DIFFERENCE * float(middle(apart))
-            self.noise += (NOISE_SHARE if self.noise else 1.0) * (sigma - self.noise)
+            self.noise = with_noise(self.noise, sigma, MOST_FIRST_NOISE)
 
     def meet(self, view: View, fresh: Bool) -> None:
         """Takes what is measured where pixels are seen for the first time."""
@@ -159,6 +161,14 @@ class GroundDepth:
     def _is_before(self, depth: Float32, other: Float32) -> Bool:
         """Where one depth is clearly less than another, both known."""
         return np.asarray(depth < other - self.slack(other))
+
+
+def with_noise(known: float, noise: float, most: float) -> float:
+    """What is known of a camera's noise, 0 until there is anything, with another image's.
+
+    The first counts whole, but no more than `most`: what is once held for moving is not measured any more.
+    """
+    return known + NOISE_SHARE * (noise - known) if known else min(noise, most)
 
 
 def middle(values: Float32) -> Float32:

@@ -11,6 +11,7 @@
 namespace model {
 
 constexpr double kNearM = 0.01;
+constexpr double kMostFirstNoise = 0.05;  // of depth, m at 1 m
 constexpr double kSigmaOfDifference = 1.48 / 1.4142135623730951;
 static const Kernel kCross = {{-1, 0}, {0, 1}, {1, 0}};  // a pixel and the four beside it
 static const Kernel kSquare = {{-1, 1}, {0, 1}, {1, 1}};  // and the eight around it
@@ -35,8 +36,7 @@ class GroundDepth {
       }
     }
     if (sample.size() <= kLeastSample) return;
-    double &noise = *r_.depth_noise;
-    noise += (noise > 0 ? kNoiseShare : 1.) * (kSigmaOfDifference * middle(sample) - noise);
+    take_noise(kSigmaOfDifference * middle(sample), kMostFirstNoise, *r_.depth_noise);
   }
 
   // Takes what is measured where a pixel is seen for the first time.

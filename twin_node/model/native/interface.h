@@ -39,7 +39,7 @@ struct MaskRequest {
   float *still_ns;              // [H, W]
   uint8_t *known, *trusted, *confirmed, *mask;  // [H, W]
   double *ground, *moving;      // [4096] how often each colour was free ground, and a moving thing
-  double *sigma;                // [1] noise of the images, levels
+  double *sigma;                // [1] noise of the images, levels; 0 until there are two
   double *bared;                // [1] pixels of late that something moved off which had been there from the start
   double *depth_noise;          // [1] 1 sigma at 1 m, m; 0 until it has been measured
 };

@@ -15,7 +15,7 @@
 namespace model {
 
 constexpr float kDark = 4.f;                    // levels added to both sides of a ratio: black tells nothing
-constexpr double kLeastNoise = 0.5, kSigmaOfMedian = 1.48;
+constexpr double kLeastNoise = 0.5, kMostFirst = 20., kSigmaOfMedian = 1.48;
 constexpr double kQuiet = 0.7, kAlike = 0.6;
 constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
@@ -129,6 +129,7 @@ class MaskUpdate {
       still_ns[at] = for_ns;
       settled[at] = (for_ns > settle_ns) & (change < quiet);
     }
+    if (elapsed_ns <= 0) return;  // the first image, and itself
     std::vector<float> sample;
     for (int row = 0; row < r_.height; row += kSampled) {
       for (int column = 0; column < r_.width; column += kSampled) {
@@ -137,7 +138,8 @@ class MaskUpdate {
       }
     }
     if (sample.size() > kLeastSample) {
-      *r_.sigma += kNoiseShare * (std::max(kLeastNoise, kSigmaOfMedian * middle(sample)) - *r_.sigma);
+      const double noise = std::max(kLeastNoise, kSigmaOfMedian * middle(sample));
+      take_noise(noise, kMostFirst, *r_.sigma);
     }
   }
 

@@ -11,7 +11,7 @@
 namespace model {
 
 constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians look at one, and of how many at least
-constexpr double kNoiseShare = 0.05;            // of each new image in what is known of a camera's noise
+constexpr double kNoiseShare = 0.05;            // of each new image in what is known of its camera's noise
 
 using Gains = std::array<float, 3>;
 
@@ -36,6 +36,12 @@ inline float middle(std::vector<float> &values) {
   const auto half = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), half, values.end());
   return *half;
+}
+
+// Takes another image's noise into what is known of a camera's, 0 until there is any. The first counts whole, but no
+// more than `most`: what is once held for moving is not measured any more.
+inline void take_noise(double noise, double most, double &known) {
+  known = known > 0 ? known + kNoiseShare * (noise - known) : std::min(noise, most);
 }
 
 }  // namespace model

@@ -1,4 +1,4 @@
-"""Cameras of which depth is noisier than usual: noise stands before no ground, and what truly comes still does."""
+"""Cameras that are noisier than usual: noise is no thing that moves, and what truly comes still is."""
 
 from __future__ import annotations
 
@@ -53,6 +53,26 @@ def test_what_comes_before_the_ground_does_though_colours_do_not_tell(noise_m: f
     found = masks(noise_m, nearer)
     assert not any(mask.any() for mask in found[:20])
     assert found[-1][SPOT].mean() > 0.95
+
+
+@pytest.mark.parametrize("levels", [2.0, 8.0, 15.0, 30.0])
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_noise_of_colours_does_not_move_either(levels: float, with_depth: bool) -> None:
+    """From the second image on: what has been held for moving is not measured any more."""
+    rng, mask = np.random.default_rng(2), MovingMask()
+    coarse = np.repeat(np.repeat(rng.uniform(60, 190, (6, 8, 3)), 10, 0), 10, 1)
+    thing = np.array([250.0, 20.0, 20.0])
+    for view in images(0.002, count=21):
+        shown = coarse.copy()
+        if view.stamp >= 20 * STEP_NS:
+            shown[SPOT] = thing
+        rgb = np.clip(shown + rng.normal(0, levels, shown.shape), 0, 255).astype(np.uint8)
+        seen = replace(view, rgb=rgb, depth=view.depth if with_depth else None)
+        (held,) = mask.update(FrameSet(view.stamp, (seen,)), [None])
+        if view.stamp < 20 * STEP_NS:
+            assert held.sum() <= 2
+    if levels < 20:
+        assert held[SPOT].mean() > 0.9
 
 
 @pytest.mark.parametrize("noise_m", [0.001, 0.004, 0.012])
