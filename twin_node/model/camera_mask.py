@@ -146,7 +146,7 @@ class CameraMask:
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50 and stamp > last_stamp:
             noise = max(LEAST_NOISE, 1.48 * float(middle(sample)))
-            self.sigma = with_noise(self.sigma, noise, MOST_FIRST_NOISE)
+            self.sigma = with_noise(self.sigma, noise, CHANGE_LEVELS / CHANGE_SIGMAS, MOST_FIRST_NOISE)
         quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
         self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self.remember(stamp, image)

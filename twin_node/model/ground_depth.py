@@ -16,6 +16,8 @@ DEPTH_LEVELS = 0.02
 """Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
 NEAR_M = 0.01
 """Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
+LOUD = 2.0
+"""So many times the usual noise cannot be it."""
 NOISE_SHARE = 0.05
 """Share of each new image in what is known of its camera's noise."""
 MOST_FIRST_NOISE = 0.05
@@ -84,7 +86,7 @@ class GroundDepth:
             now, before = now[both], before[both]
             apart = (np.abs(now - before) / (before * before)).astype(np.float32)
             sigma = SIGMA_OF_DIFFERENCE * float(middle(apart))
-            self.noise = with_noise(self.noise, sigma, MOST_FIRST_NOISE)
+            self.noise = with_noise(self.noise, sigma, 0.0, MOST_FIRST_NOISE)
 
     def meet(self, view: View, fresh: Bool) -> None:
         """Takes what is measured where pixels are seen for the first time."""
@@ -163,12 +165,15 @@ class GroundDepth:
         return np.asarray(depth < other - self.slack(other))
 
 
-def with_noise(known: float, noise: float, most: float) -> float:
+def with_noise(known: float, noise: float, usual: float, most: float) -> float:
     """What is known of a camera's noise, 0 until there is anything, with another image's.
 
-    The first counts whole, but no more than `most`: what is once held for moving is not measured any more.
+    The first, if it is far more than is `usual`, counts whole, but no more than `most`: what is once held for moving is
+    not measured any more.
     """
-    return known + NOISE_SHARE * (noise - known) if known else min(noise, most)
+    if known:
+        return known + NOISE_SHARE * (noise - known)
+    return min(noise, most) if noise > LOUD * usual else usual
 
 
 def middle(values: Float32) -> Float32:

@@ -36,7 +36,7 @@ class GroundDepth {
       }
     }
     if (sample.size() <= kLeastSample) return;
-    take_noise(kSigmaOfDifference * middle(sample), kMostFirstNoise, *r_.depth_noise);
+    take_noise(kSigmaOfDifference * middle(sample), 0., kMostFirstNoise, *r_.depth_noise);
   }
 
   // Takes what is measured where a pixel is seen for the first time.

@@ -139,7 +139,7 @@ class MaskUpdate {
     }
     if (sample.size() > kLeastSample) {
       const double noise = std::max(kLeastNoise, kSigmaOfMedian * middle(sample));
-      take_noise(noise, kMostFirst, *r_.sigma);
+      take_noise(noise, p_.change_levels / p_.change_sigmas, kMostFirst, *r_.sigma);
     }
   }
 
