@@ -16,8 +16,8 @@ CHANGE_SIGMAS = 6.0
 """A pixel has changed when it differs by this many times the image's own noise (1 sigma, measured)."""
 CHANGE_LEVELS = 9.0
 """Smallest difference that counts, in 8-bit levels: below it lie compression artefacts."""
-LEAST_NOISE, MOST_FIRST_NOISE = 0.5, 20.0
-"""What an image's noise is taken to be at least, and by the first two images at most, 1 sigma, levels."""
+LEAST_NOISE, USUAL_NOISE, MOST_FIRST_NOISE = 0.5, 1.45, 20.0
+"""What an image's noise is taken to be at least, at first, and by the first two images at most, 1 sigma, levels."""
 BASELINE_NS = 100_000_000
 """An image is compared with one this much older: slow limbs move a pixel in 100 ms, not between two frames."""
 SETTLE_NS = 120_000_000
@@ -146,7 +146,7 @@ class CameraMask:
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50 and stamp > last_stamp:
             noise = max(LEAST_NOISE, 1.48 * float(middle(sample)))
-            self.sigma = with_noise(self.sigma, noise, CHANGE_LEVELS / CHANGE_SIGMAS, MOST_FIRST_NOISE)
+            self.sigma = with_noise(self.sigma, noise, USUAL_NOISE, MOST_FIRST_NOISE)
         quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
         self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self.remember(stamp, image)

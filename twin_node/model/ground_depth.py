@@ -16,7 +16,7 @@ DEPTH_LEVELS = 0.02
 """Smallest change of depth that counts, as a share of the depth (stereo and time-of-flight noise at 1 to 2 m)."""
 NEAR_M = 0.01
 """Smallest change of depth that counts beside `DEPTH_LEVELS`, m."""
-LOUD = 2.0
+LOUD = 3.0
 """So many times the usual noise cannot be it."""
 NOISE_SHARE = 0.05
 """Share of each new image in what is known of its camera's noise."""
@@ -171,9 +171,10 @@ def with_noise(known: float, noise: float, usual: float, most: float) -> float:
     The first, if it is far more than is `usual`, counts whole, but no more than `most`: what is once held for moving is
     not measured any more.
     """
-    if known:
-        return known + NOISE_SHARE * (noise - known)
-    return min(noise, most) if noise > LOUD * usual else usual
+    if not known and noise > LOUD * usual:
+        return min(noise, most)
+    before = known or usual
+    return before + NOISE_SHARE * (noise - before)
 
 
 def middle(values: Float32) -> Float32:

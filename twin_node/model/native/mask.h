@@ -15,7 +15,7 @@
 namespace model {
 
 constexpr float kDark = 4.f;                    // levels added to both sides of a ratio: black tells nothing
-constexpr double kLeastNoise = 0.5, kMostFirst = 20., kSigmaOfMedian = 1.48;
+constexpr double kLeastNoise = 0.5, kUsualNoise = 1.45, kMostFirst = 20., kSigmaOfMedian = 1.48;
 constexpr double kQuiet = 0.7, kAlike = 0.6;
 constexpr double kFading = 0.98;
 constexpr int kAround = 2;  // pixels that a ring of ground looks at, each way
@@ -139,7 +139,7 @@ class MaskUpdate {
     }
     if (sample.size() > kLeastSample) {
       const double noise = std::max(kLeastNoise, kSigmaOfMedian * middle(sample));
-      take_noise(noise, p_.change_levels / p_.change_sigmas, kMostFirst, *r_.sigma);
+      take_noise(noise, kUsualNoise, kMostFirst, *r_.sigma);
     }
   }
 

@@ -11,7 +11,7 @@
 namespace model {
 
 constexpr int kSampled = 4, kLeastSample = 50;  // every how many pixels medians look at one, and of how many at least
-constexpr double kLoud = 2.;                    // so many times the usual noise cannot be it
+constexpr double kLoud = 3.;                    // so many times the usual noise cannot be it
 constexpr double kNoiseShare = 0.05;            // of each new image in what is known of its camera's noise
 
 using Gains = std::array<float, 3>;
@@ -42,7 +42,12 @@ inline float middle(std::vector<float> &values) {
 // Takes another image's noise into what is known of a camera's, 0 until there is any. The first, if it is far more than
 // is `usual`, counts whole, but no more than `most`: what is once held for moving is not measured any more.
 inline void take_noise(double noise, double usual, double most, double &known) {
-  known = known > 0 ? known + kNoiseShare * (noise - known) : noise > kLoud * usual ? std::min(noise, most) : usual;
+  if (known <= 0 && noise > kLoud * usual) {
+    known = std::min(noise, most);
+  } else {
+    const double before = known > 0 ? known : usual;
+    known = before + kNoiseShare * (noise - before);
+  }
 }
 
 }  // namespace model
