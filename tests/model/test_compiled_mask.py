@@ -87,6 +87,22 @@ def test_the_compiled_mask_is_that_in_numpy_and_leaves_the_same_behind(seed: int
             assert np.count_nonzero(differs) <= ROUNDING
 
 
+@pytest.mark.parametrize(("levels", "noise_m"), [(1.0, 0.002), (8.0, 0.02), (60.0, 0.5)])
+def test_noise_is_told_as_in_numpy_be_it_usual_loud_or_louder_than_noise_is(levels: float, noise_m: float) -> None:
+    rng = np.random.default_rng(7)
+    rgbs = np.clip(120 + rng.normal(0, levels, (6, HEIGHT, WIDTH, 3)), 0, 255).astype(np.uint8)
+    depths = np.abs(1.5 + noise_m * 1.5**2 * rng.normal(size=(6, HEIGHT, WIDTH))).astype(np.float32)
+    views = [View(CAMERA, tick * 33_000_000, *of) for tick, of in enumerate(zip(rgbs, depths, strict=True))]
+    plain, compiled = (CameraMask(views[0]) for _ in range(2))
+    for view in views:
+        plain.update(view, None)
+        update_compiled([compiled], [view], [None])
+        follow(compiled, plain)
+        assert compiled.sigma == pytest.approx(plain.sigma, rel=1e-5)
+        assert compiled.depth.noise == pytest.approx(plain.depth.noise, rel=1e-5)
+    assert plain.sigma > 0 and plain.depth.noise > 0
+
+
 def test_wide_gaps_are_closed_as_in_numpy() -> None:
     views = [replace(view, rgb=np.repeat(np.repeat(view.rgb, 6, 0), 6, 1)) for view in scene(2, False)[:14]]
     plain, compiled = (CameraMask(views[0]) for _ in range(2))

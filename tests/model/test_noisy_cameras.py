@@ -11,7 +11,7 @@ import pytest
 from twin_node.bench.masks import ModelMasks
 from twin_node.cell import CellSource, load_scenario
 from twin_node.model import WindowModel
-from twin_node.model.ground_depth import GroundDepth
+from twin_node.model.ground_depth import GroundDepth, with_noise
 from twin_node.model.moving_mask import MovingMask
 from twin_node.scene import Bool, Camera, Float32, FrameSet, View
 from twin_node.scene.depth_noise import MOST_NOISE, NOISE_SIGMAS, noise_slack
@@ -98,6 +98,21 @@ def test_too_few_pixels_tell_no_noise() -> None:
         ground.measure_noise(view, few)
         ground.learn(view, np.full_like(SLOPE, 0.05), few)
     assert ground.noise == 0
+
+
+@pytest.mark.parametrize(
+    ("known", "noise", "usual", "expected"),
+    [
+        (0.0, 2.0, 1.0, 1.05),  # as usual: drawn from there
+        (0.0, 4.0, 1.0, 4.0),  # loud: whole
+        (0.0, 40.0, 1.0, 10.0),  # more than noise can be
+        (0.0, 0.5, 0.0, 0.5),  # nothing is usual
+        (0.0, 0.0, 0.0, 0.0),
+        (4.0, 24.0, 1.0, 5.0),  # known: drawn, however loud
+    ],
+)
+def test_only_the_first_loud_noise_counts_whole(known: float, noise: float, usual: float, expected: float) -> None:
+    assert with_noise(known, noise, usual, most=10.0) == pytest.approx(expected)
 
 
 def test_noise_counts_for_a_share_of_a_depth_at_most() -> None:
