@@ -43,7 +43,7 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
     velocity = np.diff(q, axis=0) / step
     assert np.abs(velocity).max() <= limits.speed * 1.01
     assert np.abs(np.diff(velocity, axis=0) / step).max() <= limits.acceleration * 1.01
-    np.testing.assert_allclose(q[0], q[-1], atol=1e-12)
+    np.testing.assert_array_equal(q[0], q[-1])
     assert (q >= model.lower).all()
     assert (q <= model.upper).all()
     assert forward_kinematics(model, q)[:, -1, 2, 3].min() > 0.04
@@ -55,6 +55,15 @@ def test_the_default_cycle_can_be_driven(name: str, workspace: np.ndarray | None
         assert not np.allclose(cycle.at(int(begin) - 40_000_000), resting[0], atol=1e-6)
     checker = ArmCollisionChecker(model, max_obstacles=1)
     assert min(checker.self_distance(pose).distance for pose in q[::25]) > 0
+
+
+@pytest.mark.parametrize("name", UR_NAMES)
+def test_rests_last_to_the_sample_wherever_the_arm_works(name: str) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(8):
+        lower = rng.uniform([-0.5, -0.5, 0.0], [0.3, 0.3, 0.3])
+        cycle = default_path(ur_model(name), np.array([lower, lower + 0.6]))
+        assert np.ptp(cycle.rests, axis=1).tolist() == [400_000_000, 400_000_000]
 
 
 @pytest.mark.parametrize("turns", [-1, 1])

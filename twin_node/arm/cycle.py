@@ -183,7 +183,9 @@ def _through(model: ArmModel, stops: Float64, parameters: CycleParameters) -> Jo
         seconds = duration if duration > 0 else parameters.dwell_s
         count = max(int(np.ceil(seconds * 1e9 / _TEMPLATE_STEP_NS)), 1)
         s = np.arange(1, count + 1)[:, None] / count
-        pieces.append(start + (end - start) * s**3 * (10 - 15 * s + 6 * s**2))
+        piece = start + (end - start) * s**3 * (10 - 15 * s + 6 * s**2)
+        piece[-1] = end  # a sum may miss it by a bit, and a rest would begin a sample late
+        pieces.append(piece)
     positions = np.concatenate(pieces)
     stamps = np.arange(len(positions), dtype=np.int64) * _TEMPLATE_STEP_NS
     return JointPath(model.joint_names, stamps, positions)
