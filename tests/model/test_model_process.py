@@ -101,6 +101,30 @@ def test_a_process_follows_what_is_seen_here(process: ModelProcess) -> None:
     assert 50 < process.peak_rss_mb < 2000
 
 
+def test_another_model_takes_the_place_of_the_one_before(process: ModelProcess) -> None:
+    """Also while a set is followed by that one: nobody wants to know what becomes of it."""
+    cameras, small = rig(), rig(width=40, height=30)
+    model, sets = WindowModel(PARAMETERS), sliding(SETS, cameras)
+    model.update(sets[0])
+    assert process.is_loaded(wait=True)
+    process.take(model)
+    process.follow(model.look(sets[1]))
+    process.let_go()
+    assert not process.has_model and not process.is_free
+    other, narrow = WindowModel(PARAMETERS), sliding(SETS, small)
+    other.update(narrow[0])
+    process.take(other)
+    assert process.is_free
+    for one in narrow[1:3]:
+        process.follow(other.look(one))
+        state = process.result(WAIT_S)
+        assert state is not None
+        assert state.stamp == one.stamp
+        assert len(state.gaussians.means) < other.parameters.most_gaussians
+        other.hear_of(state)
+    assert process.parameters_count == 14 * len(state.gaussians.means)
+
+
 def test_a_process_that_dies_is_told_of(process: ModelProcess) -> None:
     assert process.is_loaded(wait=True)
     os.kill(process.pid, signal.SIGKILL)

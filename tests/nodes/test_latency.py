@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from twin_node.nodes.latency import FEWEST, LONGEST_BRIDGED_NS, MEMORY_NS, Latency
+from twin_node.nodes.latency import FEWEST, LONGEST_BRIDGED_NS, MEMORY_NS, OFTEN, SETTLED_NS, SLOWS_NS, Latency
 
 ASSUMED_NS = 33_000_000
 PERIOD_NS = 33_000_000
@@ -66,6 +66,48 @@ def test_forecasts_that_come_too_late_for_any_arm_are_told_of() -> None:
         "latency: forecasts come 900 ms after their images' stamps, and an arm stands for what is older than 400 ms; "
         "set the cameras' clocks if they are behind, else choose a smaller size or image width, or a faster machine",
     )
+
+
+def settled(gaps_ms: tuple[float, ...], drops: int = 1) -> Latency:
+    """Forecasts 50 ms after their images, for as long as it takes to count, and then such gaps among them."""
+    latency = Latency(ASSUMED_NS, is_measured=True)
+    latency.start()
+    published = dropped = 0
+    for gap_ms in (*[33.0] * (SETTLED_NS // PERIOD_NS + 2), *gaps_ms):
+        published += round(gap_ms * 1e6)
+        dropped += drops
+        latency.add(published - 50_000_000, published - 20_000_000, published, dropped)
+    return latency
+
+
+def test_forecasts_that_slow_an_arm_down_again_and_again_are_told_of() -> None:
+    """An arm that was never to be fast again stood beside a twin that had nothing to say."""
+    slow, quick = SLOWS_NS / 1e6 - 50 + 1, 33.0
+    told = settled((slow, *[quick] * 40) * OFTEN)
+    assert told.slowed == OFTEN
+    assert told.warnings == (
+        f"latency: {OFTEN} times in 10 s the next forecast took so long that an arm slowed down (300 ms after the "
+        "images' stamps); choose a smaller size or image width, or free the processor",
+    )
+    assert settled((slow, *[quick] * 40) * (OFTEN - 1)).warnings == ()
+    assert settled((slow - 2, *[quick] * 40) * 9).slowed == 0
+    assert settled((slow, *[quick] * 40) * 9, drops=0).slowed == 0, "cameras that send nothing are not the twin's fault"
+    assert settled((*[slow] * 9, *[quick] * 400)).slowed == 0, "it was long ago"
+
+
+def test_what_holds_the_first_sets_up_is_no_slowness() -> None:
+    slow = [SLOWS_NS / 1e6] * 20
+    latency = Latency(ASSUMED_NS, is_measured=True)
+    latency.start()
+    published = 0
+    for number, gap_ms in enumerate(slow):
+        published += round(gap_ms * 1e6)
+        latency.add(published - 50_000_000, published, published, number)
+    assert latency.slowed == 0
+    told = settled(tuple(slow))
+    assert told.slowed == len(slow)
+    told.begin_anew()
+    assert told.slowed == 0
 
 
 def test_lockstep_measures_nothing() -> None:

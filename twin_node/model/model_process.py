@@ -73,11 +73,18 @@ class ModelProcess:
     def take(self, model: WindowModel) -> None:
         """Hands over a model that has followed its first set, as it is now: some tens of milliseconds.
 
-        `model` goes on to `look`, and hears of what has become of its copy: see `WindowModel.hear_of`.
+        `model` goes on to `look`, and hears of what has become of its copy: see `WindowModel.hear_of`. Raises as
+        `result`, where it was let go while it followed a set: that is waited for.
         """
+        while self._seen is not None:
+            self.result(LOOK_S)
         self._process.send(model)
         self.has_model = True
         self.parameters_count = model.parameters_count
+
+    def let_go(self) -> None:
+        """The model that it has is wanted no more: it waits for another. What it has not said by now is lost."""
+        self.has_model = False
 
     @property
     def is_free(self) -> bool:

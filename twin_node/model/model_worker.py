@@ -34,12 +34,17 @@ def main(connection: Connection) -> None:
 
 
 def serve(connection: Connection) -> None:
-    """Takes a model and then sets, until the other end is closed, or something fails that no set is to blame for."""
-    model = receive(connection)
-    gc.collect()
-    gc.freeze()  # what is there now lives as long as the process
+    """Takes a model and then sets, until the other end is closed, or something fails that no set is to blame for.
+
+    Another model takes the place of the one before.
+    """
+    model = _lasting(receive(connection))
     while True:
         seen = receive(connection)
+        if isinstance(seen, WindowModel):
+            gc.unfreeze()
+            model = _lasting(seen)
+            continue
         try:
             send(connection, follow(model, seen))
             model.refine(lambda: not connection.poll(), LEAST)
@@ -47,6 +52,13 @@ def serve(connection: Connection) -> None:
             raise
         except Exception:  # whatever it is ends this process, and who has begun it raises it
             return send(connection, Failed(traceback.format_exc()))
+
+
+def _lasting(model: WindowModel) -> WindowModel:
+    """The model; what is there now lives as long as it, and is never gone through in search of what can go."""
+    gc.collect()
+    gc.freeze()
+    return model
 
 
 def follow(model: WindowModel, seen: TwinState) -> Followed | Failed:

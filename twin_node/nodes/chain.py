@@ -11,7 +11,7 @@ from twin_node.model import WindowModel
 from twin_node.nodes.chain_parameters import ChainParameters
 from twin_node.nodes.drift import DriftNode
 from twin_node.nodes.forecast import ForecastNode
-from twin_node.nodes.latency import Latency
+from twin_node.nodes.latency import OFTEN, Latency
 from twin_node.nodes.model import Following, ModelNode
 from twin_node.nodes.sizes import SizeChoice
 from twin_node.nodes.sizing import Trial
@@ -49,7 +49,11 @@ class Chain:
         is a user to `say` it to; else the parameters stand as they are.
         """
         grid = default_grid(workspace, parameters.grid.voxel_size)
-        self.forecaster = Forecaster(grid, parameters.forecast, parameters.arm.arm())
+        self._latency = latency
+        self._forecast_node = ForecastNode(
+            *(bus, clock, lambda: Forecaster(grid, parameters.forecast, parameters.arm.arm())),
+            *(parameters.obstacles, latency, dropped),
+        )
         self.status = StatusNode(bus, clock, latency, lambda: self.model_node.parameters_count, dropped)
         trial = None
         if say is not None and parameters.size.name is SizeChoice.AUTO:
@@ -57,13 +61,27 @@ class Chain:
             trial = Trial(parameters.model, parameters.forecast, arm, grid, budget_ms, say, is_ending, kept)
         if following is Following.APART and not parameters.model.own_process:
             following = Following.IN_TIME
-        self.model_node = ModelNode(bus, clock, make_model(parameters), following, trial)
+        self.model_node = ModelNode(
+            *(bus, clock, make_model(parameters), following, trial),
+            is_too_slow=lambda: latency.slowed >= OFTEN,
+            on_anew=self._begin_anew,
+        )
         self._nodes: Sequence[Node] = (
             self.status,
             DriftNode(bus, clock, parameters.drift, kept),
             self.model_node,
-            ForecastNode(bus, clock, self.forecaster, parameters.obstacles, latency),
+            self._forecast_node,
         )
+
+    @property
+    def forecaster(self) -> Forecaster:
+        """The one that forecasts now."""
+        return self._forecast_node.forecaster
+
+    def _begin_anew(self, stamp: int) -> None:
+        """The model begins anew with the set of a stamp, ns."""
+        self._latency.begin_anew()
+        self._forecast_node.begin_anew(stamp)
 
     def start(self) -> None:
         """Configures and activates all."""

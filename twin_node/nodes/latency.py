@@ -16,6 +16,12 @@ FEWEST = 30
 LONGEST_BRIDGED_NS = 400_000_000
 """No forecast begins later after its evidence: by then an arm stands (`arm.LimiterParameters`). One set that was held
 up, or a clock that was set while it was under way, would have all that moves forecast to be minutes away."""
+SLOWS_NS = 300_000_000
+"""An arm is slowed from this age of its evidence on (`arm.LimiterParameters`), and takes 0.6 s to be fast again."""
+OFTEN = 5
+"""An arm that had to slow down so often within `MEMORY_NS` is slow most of the time."""
+SETTLED_NS = 15_000_000_000
+"""What loads beside the first sets, and holds them up, has loaded by then."""
 
 
 class Latency:
@@ -27,21 +33,35 @@ class Latency:
         self.is_measured = is_measured
         self._is_started = False
         self._samples: deque[_Sample] = deque()
+        self._begun: int | None = None
+        """When the first forecast was published that counts, ns."""
+        self._dropped = 0
 
     def start(self) -> None:
         """Measure from now on: what came before was start-up."""
         self._is_started = True
 
-    def add(self, stamp: int, begun: int, published: int) -> None:
+    def begin_anew(self) -> None:
+        """What was measured so far was of another model."""
+        self._samples.clear()
+        self._begun = None
+
+    def add(self, stamp: int, begun: int, published: int, dropped: int = 0) -> None:
         """Count a forecast of evidence of `stamp`, that was `begun` and `published` then (ns, one clock).
 
-        Ignored where latency is assumed, because lockstep knows no time.
+        `dropped`: sets that newer ones have replaced so far. Ignored where latency is assumed, because lockstep knows
+        no time.
         """
         if not self.is_measured or not self._is_started:
             return
         if self._samples and published < self._samples[-1].published:
-            self._samples.clear()  # the clock was set back: nothing would be old enough to be forgotten
-        self._samples.append(_Sample(published, published - stamp, published - begun))
+            self.begin_anew()  # the clock was set back: nothing would be old enough to be forgotten
+        self._begun = published if self._begun is None else self._begun
+        before = self._samples[-1] if self._samples else None
+        is_slow = before is not None and published - before.published + before.latency > SLOWS_NS
+        is_ours = dropped != self._dropped  # a set waited meanwhile: it was not the cameras that sent none
+        self._dropped = dropped
+        self._samples.append(_Sample(published, published - stamp, published - begun, is_slow and is_ours))
         while len(self._samples) > FEWEST and self._samples[0].published < published - MEMORY_NS:
             self._samples.popleft()
 
@@ -60,14 +80,34 @@ class Latency:
         return min(max(passed + int(taken), 0), LONGEST_BRIDGED_NS)
 
     @property
+    def slowed(self) -> int:
+        """How often of late an arm had to slow down because the next set took this twin too long; 0 at first."""
+        if self._begun is None or self._samples[-1].published - self._begun < SETTLED_NS:
+            return 0
+        return sum(sample.is_slow for sample in self._samples)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader must know: where half of all forecasts come too late, an arm never moves."""
-        if len(self._samples) < FEWEST or self.percentile_ms(50) <= LONGEST_BRIDGED_NS / 1e6:
+        """What a reader must know: where half of all forecasts come too late an arm never moves, where some do it is
+        slow."""
+        if len(self._samples) < FEWEST:
             return ()
+        if self.percentile_ms(50) <= LONGEST_BRIDGED_NS / 1e6:
+            return self._slowed_warnings()
         return (
             f"latency: forecasts come {self.percentile_ms(50):.0f} ms after their images' stamps, and an arm stands "
             f"for what is older than {LONGEST_BRIDGED_NS / 1e6:.0f} ms; set the cameras' clocks if they are behind, "
             "else choose a smaller size or image width, or a faster machine",
+        )
+
+    def _slowed_warnings(self) -> tuple[str, ...]:
+        slowed = self.slowed
+        if slowed < OFTEN:
+            return ()
+        return (
+            f"latency: {slowed} times in {MEMORY_NS * 1e-9:g} s the next forecast took so long that an arm slowed down "
+            f"({SLOWS_NS / 1e6:.0f} ms after the images' stamps); choose a smaller size or image width, or free the "
+            "processor",
         )
 
     def percentile_ms(self, percent: float) -> float:
@@ -85,3 +125,5 @@ class _Sample(NamedTuple):
     """Since its evidence."""
     taken: int
     """Since it was begun."""
+    is_slow: bool
+    """Whether an arm had slowed down by then, for the one before had become too old while a set waited."""

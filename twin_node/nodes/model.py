@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from enum import Enum
+
+import numpy as np
 
 from twin_node.messages import convert
 from twin_node.model import WindowModel
@@ -57,14 +60,23 @@ class ModelNode(Node):
         model: WindowModel,
         following: Following = Following.IN_TURN,
         trial: Trial | None = None,
+        is_too_slow: Callable[[], bool] = lambda: False,
+        on_anew: Callable[[int], None] = lambda stamp: None,
     ) -> None:
-        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`."""
+        """With a `trial`, sets are measured on until it is over, and the model it found takes the place of `model`.
+
+        From then on a smaller one, that begins anew, does so whenever this twin `is_too_slow()`. Before anything of it
+        is published `on_anew(stamp)` tells from which set's stamp (ns) on states are its.
+        """
         super().__init__("model", bus, clock)
         self.model = model
         self._is_live = following is not Following.IN_TURN
         self._is_apart = following is Following.APART and is_worth_it()
         self._process: ModelProcess | None = None
-        self._trial = trial
+        self._trial, self._sizes = trial, trial
+        self._is_too_slow, self._on_anew = is_too_slow, on_anew
+        self._may_begin_anew = False
+        """Whether a model that begins now would take for ground no more than this one does."""
         self._narrower: Narrower | None = None
         self._light = FirstLight()
         self._is_dark = True
@@ -80,6 +92,7 @@ class ModelNode(Node):
         self._next_whole = 0
         self._clouds = CloudUpdates()
         self._is_first = True
+        """Whether the model has followed no set yet."""
 
     @property
     def parameters_count(self) -> int:
@@ -123,6 +136,8 @@ class ModelNode(Node):
         if self._trial is not None:
             self._try(self._trial, frames)
             return
+        if self._sizes is not None and self._may_begin_anew and self._is_too_slow():
+            self._shrink(self._sizes, frames.stamp)
         if self._narrower is not None:
             frames = self._narrower.narrowed(frames)
         if not self._is_live:
@@ -130,6 +145,7 @@ class ModelNode(Node):
         self._collect()
         self._seen = self.model.look(frames)
         self.bus.publish(SEEN, self._seen)  # on a bus within the process this is when the forecast is made
+        self._may_begin_anew = _is_at_rest(self._seen)
 
     def follow(self) -> None:
         """Brings the model up to date with what the newest set has shown, and publishes it; called once all that comes
@@ -171,6 +187,21 @@ class ModelNode(Node):
             self._trial, self._narrower, self.model = None, sized.narrower, sized.model
             self._begin_process()
 
+    def _shrink(self, sizes: Trial, stamp: int) -> None:
+        """Goes on from a set's stamp (ns) on with the next smaller size, which has everything to learn; with the
+        smallest as it is."""
+        sized = sizes.smaller()
+        if sized is None:
+            self._sizes = None
+            return
+        if self._process is not None:
+            self._process.let_go()
+        gc.unfreeze()
+        self.model, self._narrower = sized.model, sized.narrower
+        self._seen, self._followed, self._let_be = None, None, 0
+        self._is_first, self._clouds, self._next_whole = True, CloudUpdates(), 0
+        self._on_anew(stamp)
+
     def _begin_process(self) -> None:
         if self._is_apart:
             self._process = ModelProcess()
@@ -192,13 +223,13 @@ class ModelNode(Node):
         self._let_be = 0
         self.follow()
         self.model.refine(proceed)
-        if self._process is not None and self.followed and self._process.is_loaded():
+        if self._process is not None and not self._is_first and self._process.is_loaded():
             self._process.take(self.model)
 
     def await_process(self) -> None:
         """Waits until the process of its own follows the sets that come from now on, where there is to be one; called
         after the first set by who does not want that to happen while later ones come."""
-        if self._process is not None and self.followed and self._process.is_loaded(wait=True):
+        if self._process is not None and not self._is_first and self._process.is_loaded(wait=True):
             self._process.take(self.model)
 
     def _hand_over(self, process: ModelProcess) -> None:
@@ -212,7 +243,8 @@ class ModelNode(Node):
 
     def _collect(self, wait_s: float = 0.0) -> None:
         """Takes in what the other process has followed, if it has within `wait_s` seconds."""
-        state = None if self._process is None else self._process.result(wait_s)
+        process = self._process
+        state = None if process is None or not process.has_model else process.result(wait_s)
         if state is not None:
             self.model.hear_of(state)
             self._followed = state
@@ -221,3 +253,9 @@ class ModelNode(Node):
         state, self._followed = self._followed, None
         if state is not None:
             self._publish(state)
+
+
+def _is_at_rest(seen: TwinState) -> bool:
+    """Whether nothing moves, as far as that counts: where all is measured, who has been taken for ground is in the way
+    all the same."""
+    return all(view.depth is not None for view in seen.frames.views) or not any(map(np.any, seen.moving_masks))

@@ -129,31 +129,50 @@ class Trial:
         self._file = None if kept is None else kept / FILE
         self._sets: list[FrameSet] = []
         self._tried: dict[str, Sized] = {}
+        self._widest = 0
+        """Pixels: sizes of wider images see no more."""
+        self._size: str | None = None
+        """The one that was taken."""
 
     def take(self, frames: FrameSet) -> Sized | None:
-        """Takes in a set as wide as the cameras' images are prepared; the model to go on with, when they are enough.
-
-        Sizes of wider images are not tried: they would see no more.
-        """
+        """Takes in a set as wide as the cameras' images are prepared; the model to go on with, when they are enough."""
+        self._widest = max(view.camera.width for view in frames.views)
         known = None if self._sets else self._left_behind()
         if known is not None:
             self._say(f"size {known}, as it was found before")
+            self._size = known
             return self._sized(known)
         self._sets.append(frames)
         if len(self._sets) < TRIED_SETS:
             return None
-        widest = max(view.camera.width for view in frames.views)
-        names = [name for name, size in SIZES.items() if size.width <= widest]
-        choice = best_within(self._budget_ms, names or list(SIZES)[:1], self._timed_ms)
+        choice = best_within(self._budget_ms, self._names(), self._timed_ms)
         if self._is_ending():
             return None  # what it found is of a few sets, or none
+        self._take_size(choice)
+        is_blind = self._arm is not None and self._sets[0].joints is None
+        found, self._tried, self._sets = self._tried[choice.size], {}, self._sets[:1]
+        return self._sized(choice.size) if is_blind else found  # it took the arm for ground, which has moved on since
+
+    def smaller(self) -> Sized | None:
+        """A model of the next smaller size, that begins anew, where sets take too long; None where there is none."""
+        names = self._names()
+        place = names.index(self._size) if self._size in names else 0
+        if place == 0:
+            return None
+        reason = f"size {names[place - 1]}: with {names[place]} forecasts came too late for an arm again and again"
+        self._take_size(Choice(names[place - 1], reason))
+        return self._sized(names[place - 1])
+
+    def _names(self) -> list[str]:
+        """Sizes that are tried, from the smallest up."""
+        return [name for name, size in SIZES.items() if size.width <= self._widest] or list(SIZES)[:1]
+
+    def _take_size(self, choice: Choice) -> None:
+        self._size = choice.size
         self._say(choice.reason)
         if self._file is not None:
             with contextlib.suppress(OSError):  # a full disk must not end the twin too; the next one tries again
                 self._file.write_text(choice.size, encoding="ascii")
-        if self._arm is not None and self._sets[0].joints is None:
-            return self._sized(choice.size)  # it took the arm for ground, and the arm has moved on since
-        return self._tried[choice.size]
 
     def _timed_ms(self, name: str) -> float:
         one = self._tried[name] = self._sized(name)
