@@ -4,7 +4,16 @@ import math
 
 import pytest
 
-from twin_node.nodes.latency import FEWEST, LONGEST_BRIDGED_NS, MEMORY_NS, OFTEN, SETTLED_NS, SLOWS_NS, Latency
+from twin_node.nodes.latency import (
+    FEWEST,
+    HELD_UP_NS,
+    LONGEST_BRIDGED_NS,
+    MEMORY_NS,
+    OFTEN,
+    SETTLED_NS,
+    SLOWS_NS,
+    Latency,
+)
 
 ASSUMED_NS = 33_000_000
 PERIOD_NS = 33_000_000
@@ -68,15 +77,15 @@ def test_forecasts_that_come_too_late_for_any_arm_are_told_of() -> None:
     )
 
 
-def settled(gaps_ms: tuple[float, ...], drops: int = 1) -> Latency:
-    """Forecasts 50 ms after their images, for as long as it takes to count, and then such gaps among them."""
+def settled(gaps_ms: tuple[float, ...], drops: int = 1, late_ms: int = 50) -> Latency:
+    """Forecasts so long after their images, for as long as it takes to count, and then such gaps among them."""
     latency = Latency(ASSUMED_NS, is_measured=True)
     latency.start()
     published = dropped = 0
     for gap_ms in (*[33.0] * (SETTLED_NS // PERIOD_NS + 2), *gaps_ms):
         published += round(gap_ms * 1e6)
         dropped += drops
-        latency.add(published - 50_000_000, published - 20_000_000, published, dropped)
+        latency.add(published - late_ms * 1_000_000, published - 20_000_000, published, dropped)
     return latency
 
 
@@ -93,6 +102,8 @@ def test_forecasts_that_slow_an_arm_down_again_and_again_are_told_of() -> None:
     assert settled((slow - 2, *[quick] * 40) * 9).slowed == 0
     assert settled((slow, *[quick] * 40) * 9, drops=0).slowed == 0, "cameras that send nothing are not the twin's fault"
     assert settled((*[slow] * 9, *[quick] * 400)).slowed == 0, "it was long ago"
+    assert settled((quick,) * 99, late_ms=280).slowed == 0, "images that come late are not either"
+    assert settled((HELD_UP_NS / 1e6 + 1,) * 99, late_ms=280).slowed > OFTEN
 
 
 def test_what_holds_the_first_sets_up_is_no_slowness() -> None:

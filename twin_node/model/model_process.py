@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twin_node.errors import TwinError
 from twin_node.native_library import thread_count
 from twin_node.runtime.worker_process import WorkerProcess
 from twin_node.scene import GaussianCloud, NodeStates, TwinState
@@ -73,11 +75,12 @@ class ModelProcess:
     def take(self, model: WindowModel) -> None:
         """Hands over a model that has followed its first set, as it is now: some tens of milliseconds.
 
-        `model` goes on to `look`, and hears of what has become of its copy: see `WindowModel.hear_of`. Raises as
-        `result`, where it was let go while it followed a set: that is waited for.
+        `model` goes on to `look`, and hears of what has become of its copy: see `WindowModel.hear_of`. Where the one
+        before was let go while it followed a set, that is waited for. Raises `EndedError`.
         """
         while self._seen is not None:
-            self.result(LOOK_S)
+            with contextlib.suppress(TwinError):  # nobody wants to know any more
+                self.result(LOOK_S)
         self._process.send(model)
         self.has_model = True
         self.parameters_count = model.parameters_count

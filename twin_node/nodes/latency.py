@@ -18,6 +18,9 @@ LONGEST_BRIDGED_NS = 400_000_000
 up, or a clock that was set while it was under way, would have all that moves forecast to be minutes away."""
 SLOWS_NS = 300_000_000
 """An arm is slowed from this age of its evidence on (`arm.LimiterParameters`), and takes 0.6 s to be fast again."""
+HELD_UP_NS = 60_000_000
+"""A twin that keeps up with cameras is not so long from one forecast to the next: what makes images of its old is
+somebody else's doing, and no smaller model's to mend."""
 OFTEN = 5
 """An arm that had to slow down so often within `MEMORY_NS` is slow most of the time."""
 SETTLED_NS = 15_000_000_000
@@ -58,8 +61,9 @@ class Latency:
             self.begin_anew()  # the clock was set back: nothing would be old enough to be forgotten
         self._begun = published if self._begun is None else self._begun
         before = self._samples[-1] if self._samples else None
-        is_slow = before is not None and published - before.published + before.latency > SLOWS_NS
-        is_ours = dropped != self._dropped  # a set waited meanwhile: it was not the cameras that sent none
+        gap = 0 if before is None else published - before.published
+        is_slow = before is not None and gap + before.latency > SLOWS_NS
+        is_ours = gap > HELD_UP_NS and dropped != self._dropped  # else it was the cameras that sent none meanwhile
         self._dropped = dropped
         self._samples.append(_Sample(published, published - stamp, published - begun, is_slow and is_ours))
         while len(self._samples) > FEWEST and self._samples[0].published < published - MEMORY_NS:
