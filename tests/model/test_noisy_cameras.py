@@ -149,3 +149,33 @@ def test_a_state_tells_how_noisy_its_cameras_are() -> None:
         assert states[-1].depth_noise_of(name) == pytest.approx(0.005, rel=0.2)
     assert states[-1].depth_noise_of("another") == 0
     assert replace(states[-1], depth_noise=()).depth_noise_of(names[0]) == 0
+
+
+def warned_of_full_masks(levels: float, covered: float, seconds: float, mends: bool = False) -> list[bool]:
+    """Whether each set warned that a camera's mask stays full: from 1 s on its noise is other, or somebody before it.
+
+    Where it `mends` that ends after 12 s.
+    """
+    mask, rng, told = MovingMask(), np.random.default_rng(1), []
+    for tick in range(round(seconds * 1e9 / STEP_NS)):
+        is_other = 20 <= tick < (240 if mends else 10_000)
+        rgb = 120 + rng.normal(0, levels if is_other else 1.5, (HEIGHT, WIDTH, 3))
+        if is_other and covered:
+            rgb[:, : round(covered * WIDTH)] = rng.uniform(0, 255, (HEIGHT, round(covered * WIDTH), 3))
+        view = View(CAMERA, tick * STEP_NS, np.clip(rgb, 0, 255).astype(np.uint8))
+        mask.update(FrameSet(view.stamp, (view,)), [None])
+        told.append(any("camera cam: nearly all that it sees has moved for 10 s" in one for one in mask.warnings))
+    return told
+
+
+def test_a_mask_that_stays_full_is_told_of_by_its_camera() -> None:
+    """Who dimmed the light, and so raised the gain, had an arm that stood for what moves, and nobody in the cell."""
+    told = warned_of_full_masks(40.0, 0.0, 13.0)
+    assert told.index(True) == 220
+    assert all(told[220:])
+    assert not any(warned_of_full_masks(1.5, 0.7, 13.0)), "who stands before the camera leaves some of it to be seen"
+
+
+def test_a_full_mask_that_is_mended_is_no_longer_told_of() -> None:
+    told = warned_of_full_masks(1.5, 1.0, 20.0, mends=True)
+    assert told[230] and not told[-1]

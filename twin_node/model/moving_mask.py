@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin_node.model.camera_mask import CameraMask
+from twin_node.model.camera_mask import CameraMask, seen_by
 from twin_node.model.compiled_mask import can_compile, update_compiled
 from twin_node.model.long_rest import LongRest
 from twin_node.model.parameters import ModelError
@@ -29,6 +29,14 @@ STILL_SHARE = 0.015
 three, an arm 1.5 m away two."""
 BARED_NS = 20_000_000_000
 """For so long what is left of that thing may go on to rest unseen, ns: as long as what rests is expected to start."""
+FULL_SHARE = 0.8
+"""Of what a camera sees: nobody who works there hides so much of it for `FULL_NS`."""
+FULL_NS = 10_000_000_000
+"""For so long a mask is full before that is told, ns."""
+_FULL = (
+    "camera {}: nearly all that it sees has moved for {:g} s and more, as where it shakes, or its light or noise is "
+    "another than it was: all of that is an obstacle; mend it, or start the twin again with nobody in view"
+)
 _STOOD = (
     "model: something moved that had stood there since the first images, as cameras show that measure no depth: what "
     "still stands of it is taken for ground and told as free; keep clear, and begin with nobody in view"
@@ -50,6 +58,10 @@ class MovingMask:
         self._cameras: dict[str, _Known] = {}
         self._stamp = 0
         self._bared_at: int | None = None
+        self._full_since: dict[str, int] = {}
+        """Stamps (ns) since when cameras' masks, by name, have been full."""
+        self._full: tuple[str, ...] = ()
+        """Cameras of the newest set whose masks have been so for long."""
         self.is_still = True
         """Whether the newest masks show nobody."""
 
@@ -57,7 +69,8 @@ class MovingMask:
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the newest masks must know."""
         is_recent = self._bared_at is not None and self._stamp - self._bared_at <= BARED_NS
-        return (_STOOD,) if is_recent else ()
+        told = tuple(_FULL.format(name, FULL_NS * 1e-9) for name in self._full)
+        return (_STOOD, *told) if is_recent else told
 
     def depth_noise_of(self, view: View) -> float:
         """1 sigma of the depth of a view's camera at 1 m, m; 0 until it has been measured."""
@@ -95,9 +108,21 @@ class MovingMask:
         masks = [_without(*of) for of in zip(masks, handled, cameras, views, strict=True)]
         found = zip(known, masks, given, strict=True)
         moving = tuple(one.rest.without(mask, *seen) for one, mask, seen in found)
+        seen = zip(moving, views, robots, strict=True)
+        self._full = tuple(
+            view.camera.name for mask, view, robot in seen if self._has_long_been_full(mask, view, robot)
+        )
         self.is_still = all(np.count_nonzero(mask) <= STILL_SHARE * mask.size for mask in moving)
         whole = zip(moving, frames.views, robot_masks, strict=True)
         return tuple(_widened(mask, view, robot) for mask, view, robot in whole)
+
+    def _has_long_been_full(self, mask: Bool, view: View, robot: Bool | None) -> bool:
+        """Whether nearly all that a camera sees beside the robot has been in its mask [H, W] for long."""
+        count = np.count_nonzero(mask)
+        if count == 0 or count < FULL_SHARE * np.count_nonzero(seen_by(view, robot)):
+            self._full_since.pop(view.camera.name, None)
+            return False
+        return self._stamp - self._full_since.setdefault(view.camera.name, self._stamp) >= FULL_NS
 
     def _narrowed(self, view: View) -> View:
         """The view as it is looked at."""
