@@ -100,6 +100,7 @@ def test_noise_is_told_as_in_numpy_be_it_usual_loud_or_louder_than_noise_is(leve
         follow(compiled, plain)
         assert compiled.sigma == pytest.approx(plain.sigma, rel=1e-5)
         assert compiled.depth.noise == pytest.approx(plain.depth.noise, rel=1e-5)
+        assert np.count_nonzero(compiled.still_ns != plain.still_ns) <= ROUNDING, "loud noise is still all the same"
     assert plain.sigma > 0 and plain.depth.noise > 0
 
 

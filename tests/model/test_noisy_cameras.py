@@ -75,6 +75,25 @@ def test_noise_of_colours_does_not_move_either(levels: float, with_depth: bool) 
         assert held[SPOT].mean() > 0.9
 
 
+@pytest.mark.parametrize("levels", [10.0, 15.0])
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_noise_that_rises_at_once_moves_for_a_moment_only(levels: float, with_depth: bool) -> None:
+    """The light goes out and the gain goes up: for good nothing was still enough to be known for ground again."""
+    rng, mask = np.random.default_rng(2), MovingMask()
+    thing, shares = np.array([250.0, 20.0, 20.0]), list[float]()
+    for tick, view in enumerate(images(0.002, count=81)):
+        shown = np.full((HEIGHT, WIDTH, 3), 120.0)
+        shown[SPOT] = thing if tick == 80 else 120.0
+        rgb = np.clip(shown + rng.normal(0, levels if tick >= 20 else 1.5, shown.shape), 0, 255).astype(np.uint8)
+        seen = replace(view, rgb=rgb, depth=view.depth if with_depth else None)
+        (held,) = mask.update(FrameSet(view.stamp, (seen,)), [None])
+        shares.append(float(held.mean()))
+    assert max(shares[:20]) == 0
+    assert shares[20] > 0.01, "it could be something that has come"
+    assert max(shares[60:80]) < 1e-3
+    assert held[SPOT].mean() > 0.9
+
+
 @pytest.mark.parametrize("noise_m", [0.001, 0.004, 0.012])
 def test_noise_is_measured_where_nothing_moves(noise_m: float) -> None:
     """Of an image half of which something else has come to."""

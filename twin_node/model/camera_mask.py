@@ -140,17 +140,17 @@ class CameraMask:
 
     def _settled(self, image: Float32, stamp: int, free: Bool) -> Bool:
         """Pixels that look as they did one baseline ago and have been still since; measures the noise on the way."""
-        reference = self.reference(stamp)
+        reference, quiet = self.reference(stamp), 0.7 * max(CHANGE_LEVELS, CHANGE_SIGMAS * self.sigma)
         change = _difference(image, reference * _gain(image, reference, free))
         last_stamp, last = self.past[-1]
         sample = change[::4, ::4][free[::4, ::4]]
         if sample.size > 50 and stamp > last_stamp:
             noise = max(LEAST_NOISE, 1.48 * float(middle(sample)))
             self.sigma = with_noise(self.sigma, noise, USUAL_NOISE, MOST_FIRST_NOISE)
-        quiet = _difference(image, last) < 0.7 * CHANGE_LEVELS
-        self.still_ns = np.where(quiet, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
+        is_still = _difference(image, last) < quiet
+        self.still_ns = np.where(is_still, self.still_ns + np.float32(stamp - last_stamp), np.float32(0))
         self.remember(stamp, image)
-        settled: Bool = (self.still_ns > SETTLE_NS) & (change < 0.7 * CHANGE_LEVELS)
+        settled: Bool = (self.still_ns > SETTLE_NS) & (change < quiet)
         return settled
 
     def _lighting_only(self, image: Float32, expected: Float32, threshold: float) -> Bool:

@@ -127,6 +127,7 @@ FAILURES: Mapping[str, Failure] = {
         "leaves the workspace and returns", "m/s", (0.5, 1, 1.5, 2), lambda v, s: one_box(to_and_fro(v, 1.05), s)
     ),
     "image_noise": Failure("image noise", "levels", (5, 10, 20, 40), calm, wrong.image_noise),
+    "noise_rises": Failure("image noise that rises at once", "levels", (5, 10, 20, 40), calm, wrong.noise_rises),
     "noise_only": Failure("noise in place of images", "share", (0.25, 0.5, 0.75, 1), calm, wrong.noise_only),
     "black_frames": Failure("black images in a row", "sets", (1, 3, 10, 30), calm, wrong.black_frames),
     "steady": Failure("steady motion", "s", (5, 10, 20, 40), _steady, seconds=lambda long, _: long),

@@ -101,6 +101,11 @@ def image_noise(shot: Shot, level: float, rng: np.random.Generator) -> FrameSet 
     return each(shot, change)
 
 
+def noise_rises(shot: Shot, level: float, rng: np.random.Generator) -> FrameSet | None:
+    """From the onset on colour noise of 1 sigma `level`, of 255 levels: the light goes out, and the gain goes up."""
+    return image_noise(shot, level, rng) if shot.seconds >= ONSET_S else shot.frames
+
+
 def noise_only(shot: Shot, level: float, rng: np.random.Generator) -> FrameSet | None:
     """From the onset on the share `level` of every image is noise; at 1 nothing else is left, of the depth neither."""
     if shot.seconds < ONSET_S:

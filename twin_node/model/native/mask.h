@@ -114,7 +114,8 @@ class MaskUpdate {
     const Planes reference{r_.reference, pixels_}, last{r_.last, pixels_};
     const auto free = [&](int64_t at) { return r_.seen[at] && !r_.mask[at]; };
     const Gains gains = gain(reference, free);
-    const float quiet = static_cast<float>(kQuiet * p_.change_levels), settle_ns = static_cast<float>(p_.settle_ns);
+    const float quiet = static_cast<float>(kQuiet * std::max(p_.change_levels, p_.change_sigmas * *r_.sigma));
+    const float settle_ns = static_cast<float>(p_.settle_ns);
     settled_.resize(pixels_);
     const Planes image = image_;
     const float elapsed_ns = r_.elapsed_ns;
