@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from twin_node.arm.limiter import LimiterParameters
 from twin_node.nodes.latency import (
     FEWEST,
     HELD_UP_NS,
@@ -87,6 +88,12 @@ def settled(gaps_ms: tuple[float, ...], drops: int = 1, late_ms: int = 50) -> La
         dropped += drops
         latency.add(published - late_ms * 1_000_000, published - 20_000_000, published, dropped)
     return latency
+
+
+def test_an_arm_slows_and_stands_when_it_is_said_to() -> None:
+    limiter = LimiterParameters()
+    assert round(1e9 * (limiter.evidence_latency_s + limiter.deadline_s)) == SLOWS_NS
+    assert round(1e9 * (limiter.evidence_latency_s + 2 * limiter.deadline_s)) == LONGEST_BRIDGED_NS
 
 
 def test_forecasts_that_slow_an_arm_down_again_and_again_are_told_of() -> None:

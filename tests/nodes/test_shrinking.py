@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from twin_node.nodes.topics import FORECAST, GAUSSIANS, SEEN, STATE, TRUSTED_FRA
 from twin_node.runtime.bus import LocalBus
 from twin_node.runtime.clock import SteppedClock
 from twin_node.runtime.parameters import fill
-from twin_node.scene import Camera, FrameSet, TwinState, View
+from twin_node.scene import Camera, FrameSet, JointSample, TwinState, View
 
 VOLUME = np.array([[0.0, 0.0, 0.5], [0.4, 0.4, 0.9]])
 MODEL = ModelParameters(seed=SeedParameters(steps=1))
@@ -28,9 +29,9 @@ CAMERA = Camera("one", 100, 75, np.diag([100.0, 100.0, 1.0]), np.eye(4))
 PERIOD_NS = 100_000_000
 
 
-def frames(index: int, depth: bool = True, bright: bool = False) -> FrameSet:
+def frames(index: int, depth: bool = True, bright: bool = False, level: int = 90) -> FrameSet:
     """A grey image, in which half of what is seen may become bright."""
-    image = np.full((75, 100, 3), 90, np.uint8)
+    image = np.full((75, 100, 3), level, np.uint8)
     if bright:
         image[:, :50] = 200
     there = np.full((75, 100), 0.8, np.float32) if depth else None
@@ -66,11 +67,12 @@ class Shrinking:
         self.node.activate()
         self.take(2)
 
-    def take(self, sets: int, bright: bool = False) -> list[str]:
+    def take(self, sets: int, bright: bool = False, level: int = 90, joints: JointSample | None = None) -> list[str]:
         """What came of the next sets."""
         self.came.clear()
         for _ in range(sets):
-            self._bus.publish(TRUSTED_FRAMES, frames(self._index, self._depth, bright))
+            shown = frames(self._index, self._depth, bright, level)
+            self._bus.publish(TRUSTED_FRAMES, replace(shown, joints=joints))
             self.node.work_between_sets()
             self._index += 1
         return self.came.copy()
@@ -104,6 +106,27 @@ def test_without_depth_it_waits_until_nothing_moves(monkeypatch: pytest.MonkeyPa
     assert one.take(2, bright=True) == ["seen 96", "seen 96"]
     assert one.take(1) == ["seen 96"]
     assert one.take(1) == ["anew from 7", "seen 64", "whole"]
+
+
+def test_it_waits_until_the_arms_joints_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm would be ground, which moves on."""
+    one = Shrinking(monkeypatch)
+    joints = JointSample(0, ("one",), np.zeros(1), np.zeros(1))
+    one.take(1, joints=joints)
+    one.is_too_slow = True
+    assert one.take(2) == ["seen 96", "seen 96"]
+    assert one.take(1, joints=joints) == ["anew from 5", "seen 64", "whole"]
+
+
+def test_a_smaller_model_does_not_begin_in_the_dark(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first set would be the scene at rest."""
+    one = Shrinking(monkeypatch)
+    one.take(1)
+    one.is_too_slow = True
+    assert one.take(1, level=0) == ["anew from 3"]
+    one.is_too_slow = False
+    assert one.take(1, level=0) == []
+    assert one.take(1) == ["seen 64", "whole"]
 
 
 def test_a_twin_whose_size_is_given_stays_as_it_is() -> None:

@@ -36,8 +36,8 @@ class Latency:
         self.is_measured = is_measured
         self._is_started = False
         self._samples: deque[_Sample] = deque()
-        self._begun: int | None = None
-        """When the first forecast was published that counts, ns."""
+        self._counts_from: int | None = None
+        """When the first of this model's forecasts was published, ns."""
         self._dropped = 0
 
     def start(self) -> None:
@@ -47,7 +47,7 @@ class Latency:
     def begin_anew(self) -> None:
         """What was measured so far was of another model."""
         self._samples.clear()
-        self._begun = None
+        self._counts_from = None
 
     def add(self, stamp: int, begun: int, published: int, dropped: int = 0) -> None:
         """Count a forecast of evidence of `stamp`, that was `begun` and `published` then (ns, one clock).
@@ -59,7 +59,7 @@ class Latency:
             return
         if self._samples and published < self._samples[-1].published:
             self.begin_anew()  # the clock was set back: nothing would be old enough to be forgotten
-        self._begun = published if self._begun is None else self._begun
+        self._counts_from = published if self._counts_from is None else self._counts_from
         before = self._samples[-1] if self._samples else None
         gap = 0 if before is None else published - before.published
         is_slow = before is not None and gap + before.latency > SLOWS_NS
@@ -86,7 +86,7 @@ class Latency:
     @property
     def slowed(self) -> int:
         """How often of late an arm had to slow down because the next set took this twin too long; 0 at first."""
-        if self._begun is None or self._samples[-1].published - self._begun < SETTLED_NS:
+        if self._counts_from is None or self._samples[-1].published - self._counts_from < SETTLED_NS:
             return 0
         return sum(sample.is_slow for sample in self._samples)
 

@@ -75,6 +75,7 @@ class ModelNode(Node):
         self._process: ModelProcess | None = None
         self._trial, self._sizes = trial, trial
         self._is_too_slow, self._on_anew = is_too_slow, on_anew
+        self._is_told_of_arm = False
         self._may_begin_anew = False
         """Whether a model that begins now would take for ground no more than this one does."""
         self._narrower: Narrower | None = None
@@ -130,14 +131,16 @@ class ModelNode(Node):
             gc.unfreeze()  # nobody would ever look for what goes with this node
 
     def _on_frames(self, frames: FrameSet) -> None:
+        hides_arm = self._is_told_of_arm and frames.joints is None  # it would be ground, which moves on
+        self._is_told_of_arm = self._is_told_of_arm or frames.joints is not None
+        if self._sizes is not None and self._may_begin_anew and not hides_arm and self._is_too_slow():
+            self._shrink(self._sizes, frames.stamp)
         self._is_dark = self._is_dark and self._light.is_dark(frames)
         if self._is_dark:
             return
         if self._trial is not None:
             self._try(self._trial, frames)
             return
-        if self._sizes is not None and self._may_begin_anew and self._is_too_slow():
-            self._shrink(self._sizes, frames.stamp)
         if self._narrower is not None:
             frames = self._narrower.narrowed(frames)
         if not self._is_live:
@@ -199,7 +202,8 @@ class ModelNode(Node):
         gc.unfreeze()
         self.model, self._narrower = sized.model, sized.narrower
         self._seen, self._followed, self._let_be = None, None, 0
-        self._is_first, self._clouds, self._next_whole = True, CloudUpdates(), 0
+        self._is_first, self._is_dark, self._light = True, True, FirstLight()
+        self._clouds, self._next_whole = CloudUpdates(), 0
         self._on_anew(stamp)
 
     def _begin_process(self) -> None:
